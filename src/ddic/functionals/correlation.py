@@ -429,8 +429,8 @@ class Correlation:
         """
         n_cells = self.mesh.n_cells
         displaced = self._displace_pixels(deformed, q)
-        correction = tuple(np.array(np.broadcast_to(np.asarray(of_cells, dtype=float), n_cells))
-                           for of_cells in (gain, offset))
+        correction = np.empty((2, n_cells))
+        correction[0], correction[1] = gain, offset
         is_visited = np.zeros(n_cells, dtype=bool)
         is_visited[displaced.order] = True
         for band in bands:
@@ -464,8 +464,7 @@ class Correlation:
         g = deformed.get_spline(self.find_displaced_window(q))
         return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), convert_deformed(g, self.extent))
 
-    def _draw_residual(self, displaced: _DisplacedPixels, window: Window,
-                       correction: tuple[Array, ...]) -> NDArray[np.float32]:
+    def _draw_residual(self, displaced: _DisplacedPixels, window: Window, correction: Array) -> NDArray[np.float32]:
         """Residual on a window that holds all pixels of the cells to visit."""
         reference = convert_reference(self.reference.restrict(window))
         image = np.full(window.shape, np.nan, dtype=np.float32)

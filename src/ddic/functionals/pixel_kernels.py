@@ -828,10 +828,10 @@ def fill_residual_pixels(cells, displacement, reference, deformed, correction, o
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
     ``displacement`` and ``deformed`` are those of ``residual_sums``. ``correction`` are gain, and offset in grey
-    levels, of each cell, (n_cells,) each. ``out`` has the reference window's shape, float32, grey levels; NaN where a
+    levels, of each cell, (2, n_cells). ``out`` has the reference window's shape, float32, grey levels; NaN where a
     cell's pixel does not count.
     """
-    gain, offset = correction
+    gain, offset = correction[0], correction[1]
     scratch = _new_scratch()
     flat_out = out.reshape(-1)
     # Slopes are not needed: what is read in their place is in the cache.

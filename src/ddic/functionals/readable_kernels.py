@@ -88,12 +88,12 @@ def sum_residuals(cells: Cells, displacement: NDArray[np.float64], reference: Re
 
 
 def write_residuals(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
-                    deformed: DeformedPixels, correction: tuple[NDArray[np.float64], ...],
+                    deformed: DeformedPixels, correction: NDArray[np.float64],
                     out: NDArray[np.float32]) -> None:
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
     ``displacement`` and ``deformed`` are those of ``sum_residuals``. ``correction`` are gain, and offset in grey
-    levels, of each cell, (n_cells,) each. ``out`` has the reference window's shape, grey levels; NaN where a cell's
+    levels, of each cell, (2, n_cells). ``out`` has the reference window's shape, grey levels; NaN where a cell's
     pixel does not count.
     """
     gain, offset = correction

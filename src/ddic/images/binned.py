@@ -44,7 +44,7 @@ class ArraySource(SizedImage):
     values: NDArray[Any]
     saturation: float | None = None
 
-    @property
+    @cached_property
     def extent(self) -> Window:
         """The box of all its pixels."""
         return Window.of_size(*self.values.shape[::-1])

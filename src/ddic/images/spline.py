@@ -145,16 +145,16 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         buffer = held.buffer(n_rows)
         for rows in blocks:
             block = held.read(wide.take_rows(rows.y0, rows.y1), buffer)
-            write_row_slopes(block, window.x0 - wide.x0, degree, slopes[0][window.locate(rows)])
+            write_row_slopes(block, window.x0 - wide.x0, degree, slopes[0, rows.y0 - window.y0: rows.y1 - window.y0])
 
     def along_y(bands: Iterator[Window]) -> None:
         buffer = held.buffer(_BAND_ROWS + 2 * halo)
         for band in bands:
-            place = window.locate(band)
+            place = slice(band.y0 - window.y0, band.y1 - window.y0)
             tall = band.grow(halo).intersection(wide)
             block = held.read(window.take_rows(tall.y0, tall.y1), buffer)
             prefilter_columns(block, degree)
-            write_column_slopes(block, band.y0 - tall.y0, degree, slopes[1][place])
+            write_column_slopes(block, band.y0 - tall.y0, degree, slopes[1, place])
             values[place] = held.restrict(band)
 
     threads.share(window.split_rows(n_rows), along_x)
@@ -190,10 +190,11 @@ class _Held:
 
 
 def _hold(source: ImageSource, window: Window, degree: int, find_usable: FindUsable | None) -> _Held:
-    wide = window.grow(HALO[degree]).intersection(source.extent)
+    extent = source.extent
+    wide = window.grow(HALO[degree]).intersection(extent)
     usable = None if find_usable is None else find_usable(wide)
     pixels = fill_excluded(source.read(wide), usable)
-    return _Held(wide, source.extent, pixels, usable)
+    return _Held(wide, extent, pixels, usable)
 
 
 def _coefficient_bands(held: _Held, bands: Iterable[Window],

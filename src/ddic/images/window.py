@@ -6,12 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from math import prod
+from operator import ge, le, sub
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Window:
     """Half-open box of pixels, lower <= x < upper along every axis: columns and rows of an image, in this order.
 
@@ -36,8 +37,8 @@ class Window:
     @classmethod
     def between(cls, lower: ArrayLike, upper: ArrayLike) -> Window:
         """Give the box between two corners, (dim,) each, in any type of number; the upper one is not in it."""
-        first, last = (np.asarray(corner).astype(np.int64).tolist() for corner in (lower, upper))
-        return cls(tuple(first), tuple(last))
+        first, last = np.asarray(lower).astype(np.int64), np.asarray(upper).astype(np.int64)
+        return cls(tuple(first.tolist()), tuple(last.tolist()))
 
     @property
     def x0(self) -> int:
@@ -62,7 +63,7 @@ class Window:
     @property
     def sizes(self) -> tuple[int, ...]:
         """Number of pixels along each axis."""
-        return tuple(last - first for first, last in zip(self.lower, self.upper, strict=True))
+        return tuple(map(sub, self.upper, self.lower))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -82,11 +83,12 @@ class Window:
     @property
     def n_pixels(self) -> int:
         """Number of pixels."""
-        return prod(max(size, 0) for size in self.sizes)
+        sizes = self.sizes
+        return prod(sizes) if min(sizes) > 0 else 0
 
     def grow(self, halo: int) -> Window:
         """Extend on every side by ``halo`` pixels; the result may leave the image."""
-        return Window(tuple(first - halo for first in self.lower), tuple(last + halo for last in self.upper))
+        return Window(tuple([first - halo for first in self.lower]), tuple([last + halo for last in self.upper]))
 
     def intersection(self, other: Window) -> Window:
         """Find the common part of two boxes, which may be empty, with an upper corner that is not above the lower."""
@@ -98,8 +100,8 @@ class Window:
 
     def locate(self, part: Window) -> tuple[slice, ...]:
         """Find a part of this box in an array of its pixels: slices of rows and columns."""
-        places = zip(part.lower, part.upper, self.lower, strict=True)
-        return tuple(slice(first - origin, last - origin) for first, last, origin in places)[::-1]
+        first, stop = map(sub, part.lower, self.lower), map(sub, part.upper, self.lower)
+        return tuple(map(slice, first, stop))[::-1]
 
     def locate_inside(self, part: Window) -> tuple[slice, ...]:
         """Find a part of an image of this extent; raises ValueError where it leaves the image or is empty."""
@@ -109,7 +111,7 @@ class Window:
 
     def contains(self, other: Window) -> bool:
         """Tell whether another box lies inside."""
-        return self.union(other) == self
+        return all(map(le, self.lower, other.lower)) and all(map(ge, self.upper, other.upper))
 
     def take_rows(self, begin: int, end: int) -> Window:
         """Take the rows from ``begin`` to before ``end``: slabs across the last axis."""

@@ -10,6 +10,7 @@ import hashlib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -140,7 +141,7 @@ class ImageFile(SizedImage):
     layout: PixelFormat
     windowed: bool
 
-    @property
+    @cached_property
     def extent(self) -> Window:
         """The box of all its pixels."""
         return Window.of_size(self.layout.width, self.layout.height)
