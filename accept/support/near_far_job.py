@@ -17,6 +17,7 @@ from accept.support.near_far_oracle import State, solve_saddle_point
 from ddic.case.loader import load_case
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import open_inputs
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -60,7 +61,7 @@ def solve_dual(team: Team, whole: RegionMesh, frame: Frame, at: State) -> tuple[
     problem = WeightedProblem(team, reference, clock)
     try:
         views = problem.weigh(open_frame_views(inputs.case, frame, reference.references))
-        q = [_unknowns(s, at) for s in reference.subdomains]
+        q = Field(team, reference.subdomains, [_unknowns(s, at) for s in reference.subdomains])
         b, _ = ResidualModel(team, views, "none", len(inputs.cameras)).linearize(q)
         solver = problem.solver
         result = solver.step.solve(q, b)

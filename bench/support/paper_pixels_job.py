@@ -25,6 +25,7 @@ from ddic.images.window import merge_windows
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.io.result_reader import read_result
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
@@ -85,7 +86,7 @@ def do_once(team: Team, inputs: Inputs, frame: Frame, subdomains: list[Subdomain
     watch("gradient", lambda: [read_reference(camera.reference, window, degree) for window, _ in shared])
     watch("M", lambda: [reference.own.correlation.compute_cell_hessians() for reference in references])
     model = ResidualModel(team, views, case.correlation.correction_of_start)
-    watch("residual", lambda: model.linearize(q))
+    watch("residual", lambda: model.linearize(Field(team, subdomains, q)))
     return watch.times
 
 

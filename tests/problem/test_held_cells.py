@@ -16,6 +16,7 @@ from ddic.problem.held_cells import CAPTURED, RELEASED, HeldCells, sum_pulls
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.exclusions import HELD_OFF, SPOILT, Exclusions, exclude, pull_held_cells
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model
@@ -108,11 +109,11 @@ def test_the_pull_is_downhill_on_what_it_makes_least() -> None:
 def test_the_other_cells_pull_as_if_these_had_no_pixels() -> None:
     model, u_seen, q = build(), displace(MESH), displace(MESH, 1, 0.3)
     excluded = hold(model, u_seen)
-    (found,), grey = pull_held_cells(model, excluded, [q]).linearize([q])
+    (found,), grey = pull_held_cells(model, excluded, [q]).linearize(field_of(model, [q]))
     states = np.zeros(16, dtype=np.uint8)
     states[HELD] = SPOILT
     others = exclude(model, replace(Exclusions.nothing(model.views), cells=[(states,)]))
-    (expected,), of_others = others.linearize([q])
+    (expected,), of_others = others.linearize(field_of(model, [q]))
     forces = pull(model, excluded, q, q)
     np.testing.assert_allclose(found, expected + forces, atol=1e-9 * np.abs(found).max())
     assert grey[0].n_pixels == of_others[0].n_pixels

@@ -31,6 +31,7 @@ from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
@@ -147,7 +148,9 @@ class NearFarCut:
             parts = [view.weight * view.kinematics.project_vector(force)
                      for view, force in zip(of_subdomain.views, self.problem.forces[k], strict=True)]
             b.append(np.sum(parts, axis=0))
-        return step.solve([self.problem.q[k] for k in self.numbers], b)
+        q = Field(self.team, [of_subdomain.subdomain for of_subdomain in self.views],
+                  [self.problem.q[k] for k in self.numbers])
+        return step.solve(q, q.with_parts(b))
 
     def relative_error(self, dq: list[Array], reference: list[Array]) -> float:
         """Largest difference in any unknown over all ranks, relative to the largest unknown."""

@@ -18,6 +18,7 @@ from ddic.visibility.exclusions import (
     Exclusions,
     exclude,
 )
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 
@@ -125,7 +126,7 @@ def test_m_and_b_are_those_of_the_pixels_that_are_left() -> None:
     assert model.views[0].views[0].view.n_pixels == (cell_of >= 0).sum()
     # The sums of what is left out and of what is kept are those of all.
     complement = exclude(model, exclusions({cell: SPOILT for cell in range(16) if cell != 5}))
-    b = [m.linearize([q])[0][0] for m in (model, exclude(model, exclusions({5: SPOILT})), complement)]
+    b = [m.linearize(field_of(model, [q]))[0][0] for m in (model, exclude(model, exclusions({5: SPOILT})), complement)]
     np.testing.assert_allclose(b[0], b[1] + b[2], atol=1e-9 * np.abs(b[0]).max())
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,12 @@ from numpy.typing import NDArray
 import ddic
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState
 from ddic.images.noise import NOISE_OF_SLOPE
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton, stay_silent
+from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.synth.fields import Translation
@@ -27,6 +27,7 @@ from ddic.visibility.slow_nodes import (
     confine_to_slow_nodes,
     estimate_node_deviations,
 )
+from support.fields import field_of
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model, systems_of
 from support.spoilt import FIELD, blank_half, clean, hide
@@ -49,9 +50,9 @@ def build(team: Team, correction: GreyCorrection = "none", blocks: tuple[int, in
     return split_model(team, source(pair.reference), source(pair.deformed), MESH, blocks, correction)
 
 
-def take(model: ResidualModel, field: Array) -> list[Array]:
+def take(model: ResidualModel, field: Array) -> Field:
     """Unknowns of owned subdomains, of a field (n_nodes, 2)."""
-    return [field[of_subdomain.subdomain.node_ids].ravel() for of_subdomain in model.views]
+    return field_of(model, [field[of_subdomain.subdomain.node_ids].ravel() for of_subdomain in model.views])
 
 
 def correct(model: ResidualModel, moved: dict[int, float], deviations: Array | None = None) -> Correction:
@@ -63,7 +64,7 @@ def correct(model: ResidualModel, moved: dict[int, float], deviations: Array | N
     return Correction(q, *linearize_and_step(model, q, dq))
 
 
-def linearize_and_step(model: ResidualModel, q: list[Array], dq: list[Array]) -> tuple[Any, ...]:
+def linearize_and_step(model: ResidualModel, q: Field, dq: Field) -> tuple[Any, ...]:
     """What a Correction holds beside q."""
     b, grey = model.linearize(q)
     return b, dq, grey, model.measure_correction(dq, q, TOLERANCES)
@@ -86,7 +87,7 @@ def test_forces_are_those_of_all_pixels_at_slow_nodes_and_linear_elsewhere(corre
     slow = confine(model, {SLOW: 0.3})
     assert slow is not None
     step = take(model, 0.1 * np.random.default_rng(1).normal(size=TRUTH.shape))
-    q = [a + b for a, b in zip(take(model, TRUTH), step, strict=True)]
+    q = take(model, TRUTH) + step
     b, grey = slow.linearize(q)
     whole, _ = model.linearize(q)
     before, _ = model.linearize(take(model, TRUTH))
@@ -153,13 +154,13 @@ def test_where_they_have_many_pixels_all_are_visited() -> None:
     assert confine(model, dict.fromkeys([*corners, SLOW], 0.3)) is None
 
 
-def solve(model: ResidualModel | SlowNodes, system: LocalSystem, q: list[Array]) -> list[Array]:
+def solve(model: ResidualModel | SlowNodes, system: LocalSystem, q: Field) -> Field:
     operator = LocalOperator(system.hessian, smallest_eigenvalue=1e-9 * float(system.hessian.diagonal().mean()),
                              where="test")
     try:
         solution = run_gauss_newton(model, q, MonolithicStep(system, operator),
                                     Tolerances(relative=1e-30, rms=1e-9, max_iterations=100),
-                                    Progress(PhaseClock(), stay_silent))
+                                    Progress(PhaseClock()))
     finally:
         operator.destroy()
     assert solution.converged
@@ -172,11 +173,11 @@ def test_slow_nodes_are_found_where_all_nodes_together_find_them() -> None:
     exact = solve(model, system, take(model, TRUTH))
     apart = exact[0].copy()
     apart[2 * SLOW] += 0.3
-    dq = [exact[0] - apart]
-    correction = Correction([apart], *linearize_and_step(model, [apart], dq))
+    dq = field_of(model, [exact[0] - apart])
+    correction = Correction(field_of(model, [apart]), *linearize_and_step(model, field_of(model, [apart]), dq))
     slow = confine_to_slow_nodes(model, correction, [system], TOLERANCES)
     assert slow is not None
-    alone = solve(slow, system, [apart])
+    alone = solve(slow, system, field_of(model, [apart]))
     # The others follow by the linear theory, which errs by some per cent of the 0.3 px that pull at them.
     assert np.abs(alone[0] - exact[0]).max() <= 0.03
     assert np.abs(solve(model, system, alone)[0] - exact[0]).max() <= 1e-8
@@ -209,9 +210,9 @@ def test_slow_nodes_that_run_away_alone_are_found_with_all_others(monkeypatch: p
     everywhere = ddic.measure(scene.pair, SPOILT_MESH, options=options)
     linearize = SlowNodes.linearize
 
-    def push_away(self: SlowNodes, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+    def push_away(self: SlowNodes, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
         b, grey = linearize(self, q)
-        return [np.where(rows, -b_s, b_s) for rows, b_s in zip(self.rows, b, strict=True)], grey
+        return b.with_parts(np.where(rows, -b_s, b_s) for rows, b_s in zip(self.rows, b, strict=True)), grey
 
     monkeypatch.setattr(SlowNodes, "linearize", push_away)
     found = ddic.measure(scene.pair, SPOILT_MESH, options=options)

@@ -42,7 +42,7 @@ MOST_LOOKS = 20
 """Times that a frame is looked at before it is given up."""
 
 
-def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[np.float64]], listener: Listener,
+def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: Sequence[NDArray[np.float64]], listener: Listener,
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
 
@@ -84,7 +84,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
         followed = model if model.follows else model.with_large_gradients(found.q)
         model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
         _tell(listener, renewed)
-        solved = SolvedFrame(solved.field, replace(found, q=list(solved.field.q)), seen, model,
+        solved = SolvedFrame(solved.field, replace(found, q=solved.field.q), seen, model,
                              (*solved.notes, *renewed))
         # Later, operators that take turns change how fast a field is found, not which.
         is_renewed = bool(renewed) and looks.number < SETTLED
@@ -96,7 +96,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
         "the masks and the start, or give a longer regularization.cut_off_wavelength", solved))
 
 
-def _use(model: ResidualModel, seen: SeenFrame, q: list[NDArray[np.float64]]) -> ResidualModel:
+def _use(model: ResidualModel, seen: SeenFrame, q: Sequence[NDArray[np.float64]]) -> ResidualModel:
     """What Gauss-Newton goes on with from where the frame was seen."""
     whole = replace(model, views=seen.whole.views, correction=seen.whole.correction, blurs=seen.whole.blurs)
     used = pull_held_cells(exclude(whole, seen.excluded), seen.excluded, q)

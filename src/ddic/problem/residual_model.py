@@ -20,6 +20,7 @@ from ddic.functionals.regularization import Material, integrate_cell_stiffness
 from ddic.images.binned import Blur
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.plane import build_rotation
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.held_cells import PulledViews, keep_other_cells, sum_pulls
@@ -155,11 +156,10 @@ class ResidualModel:
         state = evaluation.grey[camera]
         return np.array(state.gain), np.array(state.offset)
 
-    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+    def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
         """Pass over all pixels for Gauss-Newton; collective.
 
-        This gives b_s of each owned subdomain, (n_unknowns,), grey levels squared per pixel, and the statistics of each
-        camera.
+        This gives b, grey levels squared per pixel, and the statistics of each camera.
         """
         evaluation = self.evaluate(q)
         b = self.assemble_right_hand_sides(evaluation, q)
@@ -168,16 +168,14 @@ class ResidualModel:
                 b = [b_s + forces for b_s, forces in zip(b, part.compute_forces(q), strict=True)]
         if self.pulled is not None:
             b = [b_s + forces for b_s, forces in zip(b, sum_pulls(self.pulled, q), strict=True)]
-        return b, evaluation.grey
+        return q.with_parts(b), evaluation.grey
 
-    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
+    def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction ``dq`` of unknowns ``q`` on displacements of nodes; collective.
 
         ``tolerances`` say from which correction on a node is slow.
         """
-        subdomains = [of_subdomain.subdomain for of_subdomain in self.views]
-        weights = self.weigh_nodes()
-        return measure_correction(self.team, subdomains, dq, q, weights, tolerances.largest)
+        return measure_correction(dq, q, self.weigh_nodes(), tolerances.largest)
 
     def weigh_nodes(self) -> list[Array] | None:
         """Weigh corrections of nodes by what can be known of them, (n_nodes,) of each owned subdomain."""

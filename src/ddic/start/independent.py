@@ -24,6 +24,7 @@ from ddic.functionals.regularization import (
 )
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
@@ -32,7 +33,7 @@ from ddic.problem.assembly import SINGULAR, Hessians
 from ddic.problem.residual_model import ResidualModel, is_deformation_large
 from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Progress, gauss_newton, stay_silent
+from ddic.solvers.gauss_newton import Progress, gauss_newton
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.start.coarse_displacement import LevelMesh
@@ -113,7 +114,8 @@ def _measure_alone(model: ResidualModel, hessian: sparse.csr_matrix, q: NDArray[
     operator = LocalOperator(hessian, smallest_eigenvalue=threshold, where="independent start")
     try:
         step = MonolithicStep(system, operator)
-        return gauss_newton(model, [q], step, TOLERANCES, Progress(PhaseClock(), stay_silent)).q[0]
+        start = Field(model.team, [system.subdomain], [q])
+        return gauss_newton(model, start, step, TOLERANCES, Progress(PhaseClock())).q[0]
     finally:
         operator.destroy()
 
@@ -162,7 +164,8 @@ def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances
     operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=where)
     try:
         step = MonolithicStep(system, operator)
-        found = gauss_newton(model, [q], step, tolerances, Progress(PhaseClock(), stay_silent)).q[0]
+        start = Field(model.team, [problem.subdomain], [q])
+        found = gauss_newton(model, start, step, tolerances, Progress(PhaseClock())).q[0]
     finally:
         operator.destroy()
     return kinematics.displacement(found)

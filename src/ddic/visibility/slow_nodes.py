@@ -16,6 +16,7 @@ from ddic.functionals.grey_statistics import GreyState
 from ddic.images.noise import NOISE_OF_SLOPE
 from ddic.mesh.mesh import pad_cells
 from ddic.parallel.distribution import sum_shared_nodes
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.renewal import find_displaced_nodes
@@ -46,7 +47,7 @@ class SlowNodes:
         Of the cells about these nodes.
     rows : list of (n_unknowns,) bool array
         Unknowns whose forces these cells tell, those of slow nodes and their neighbours, of each owned subdomain.
-    q, b : list of (n_unknowns,) array
+    q, b : Field
         Where all pixels were visited last, and the forces there.
     systems : list of LocalSystem
         With M_s.
@@ -54,8 +55,8 @@ class SlowNodes:
 
     near: ResidualModel
     rows: list[Flags]
-    q: list[Array]
-    b: list[Array]
+    q: Field
+    b: Field
     systems: list[LocalSystem]
 
     @property
@@ -63,15 +64,15 @@ class SlowNodes:
         """All ranks."""
         return self.near.team
 
-    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+    def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
         """Pass over the pixels of the cells about slow nodes; collective."""
         seen, grey = self.near.linearize(q)
         b = [np.where(is_seen, seen_s, b_s - system.hessian @ (q_s - before))
              for is_seen, seen_s, b_s, system, q_s, before
              in zip(self.rows, seen, self.b, self.systems, q, self.q, strict=True)]
-        return b, grey
+        return q.with_parts(b), grey
 
-    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
+    def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction of all nodes; collective."""
         return self.near.measure_correction(dq, q, tolerances)
 
@@ -84,8 +85,7 @@ def confine_to_slow_nodes(model: ResidualModel, correction: Correction, systems:
         # A camera's motion moves all of its cells, and its force is that of all their pixels.
         return None
     weights = model.weigh_nodes()
-    moved = [measure_node_corrections(*of_subdomain) for of_subdomain
-             in zip(subdomains, correction.dq, correction.q, strict=True)]
+    moved = measure_node_corrections(correction.dq, correction.q)
     if weights is not None:
         moved = [w * of_nodes for w, of_nodes in zip(weights, moved, strict=True)]
     # Copies of a node may differ by what the linear step left.
