@@ -22,9 +22,9 @@ from bench.support.step_problem import (
 )
 from ddic.case.schema import Case
 from ddic.parallel.field import Field
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_problem import build_dual_problem
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 
 KINDS: tuple[Preconditioner, ...] = ("none", "paper", "scaled")
 TOLERANCE, MOST_ITERATIONS = 1e-8, 3000
