@@ -13,7 +13,7 @@ from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.solvers.dual.dual_problem import build_dual_problem
+from ddic.solvers.dual.dual_problem import DualProblem
 from ddic.solvers.dual.interface_solver import InterfaceSolver
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, build_preconditioner
@@ -75,7 +75,7 @@ class DualStep:
     def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
                  scale: float, settings: DualSettings, clock: PhaseClock | None = None) -> None:
         with PetscStack() as stack:
-            self._problem = stack.keep(build_dual_problem(team, systems, operators, scale))
+            self._problem = stack.keep(DualProblem(team, systems, operators, scale))
             preconditioner, coarse = build_preconditioner(stack, self._problem, settings.preconditioner,
                                                           settings.local_inverse, clock)
             self._has_preconditioner = preconditioner is not None
