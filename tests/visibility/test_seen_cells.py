@@ -61,6 +61,25 @@ def test_it_is_that_of_the_pixels(correction: GreyCorrection, element: float) ->
         assert seen.coefficient[cell] == pytest.approx(np.corrcoef(fc, gc)[0, 1], abs=1e-3)
 
 
+def test_nothing_correlates_where_grey_levels_do_not_vary() -> None:
+    mesh = square_mesh(24.0, 88.0)
+    wiped = [image.astype(float) for image in (PAIR.reference, PAIR.deformed)]
+    for image in wiped:
+        # Not a whole number: its sums round.
+        image[:, :72] = 127.3
+    seen = measure(model_of(source(wiped[0]), source(wiped[1]), mesh), np.tile(SHIFT, mesh.n_nodes))
+    # What a spline carries out of the texture is no rounding up to 20 px from it.
+    is_flat = mesh.centroids[:, 0] < 48
+    assert is_flat.sum() == 4
+    assert (seen.coefficient[is_flat] == 0).all()
+    assert (seen.spread_f[is_flat] == 0).all()
+    assert (seen.spread_g[is_flat] == 0).all()
+    assert (seen.coefficient[mesh.centroids[:, 0] > 72] > 0.99).all()
+    # Flat in one image only.
+    seen = measure(model_of(source(wiped[0]), source(PAIR.deformed), mesh), np.tile(SHIFT, mesh.n_nodes))
+    assert (seen.coefficient[is_flat] == 0).all()
+
+
 def test_medians_are_by_pixels_and_texture_that_of_the_best_tenth() -> None:
     n = np.array([10.0, 10.0, 100.0, 10.0])
     cells = make_seen(4, n_pixels=n, variance=[1.0, 2.0, 3.0, 4.0], spread_f=[10.0, 20.0, 30.0, 40.0],

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Residual
-from ddic.functionals.grey_statistics import find_weighted_median, find_weighted_quantile
+from ddic.functionals.grey_statistics import find_flat, find_weighted_median, find_weighted_quantile
 from ddic.functionals.view import CellSlopes
 from ddic.problem.residual_model import Evaluation, ResidualModel
 
@@ -73,7 +73,8 @@ class SeenCells:
     spread_f, spread_g : array
         Standard deviations, grey levels; that of g is negative where its dark and bright have changed places.
     coefficient : array
-        Correlation coefficient of f and g(x + u); without its sign where gains are fitted, which may be negative.
+        Correlation coefficient of f and g(x + u), 0 where either is flat; without its sign where gains are fitted,
+        which may be negative.
     """
 
     n_pixels: Array
@@ -138,13 +139,20 @@ def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     variance = np.where(n >= FEWEST_PIXELS, of_own, of_used) / safe
     _, r, g, rr, gg, rg = np.moveaxis(sums.values, -1, 0)
     mean_f, mean_g = (r + g) / safe, g / safe
-    spread_f = np.sqrt(np.maximum((rr + 2 * rg + gg) / safe - mean_f**2, 0.0))
-    spread_g = np.sqrt(np.maximum(gg / safe - mean_g**2, 0.0))
+    spread_f = _find_spread((rr + 2 * rg + gg) / safe, mean_f)
+    spread_g = _find_spread(gg / safe, mean_g)
     covariance = (rg + gg) / safe - mean_f * mean_g
-    coefficient = covariance / np.maximum(spread_f * spread_g, 1e-300)
+    # Where nothing varies, nothing but rounding correlates.
+    coefficient = np.where(spread_f * spread_g > 0, covariance / np.maximum(spread_f * spread_g, TINY), 0.0)
     spread_g = np.where(coefficient < -CORRELATED, -spread_g, spread_g)
     unexplained = np.maximum(variance - _explain(residual, slopes, correction), 0.0)
     return SeenCells(n, variance, unexplained, slopes.texture, mean_f, mean_g, spread_f, spread_g, coefficient)
+
+
+def _find_spread(mean_square: Array, mean: Array) -> Array:
+    """Standard deviation of grey levels; 0 where they are all alike but for rounding."""
+    variance = mean_square - mean**2
+    return np.sqrt(np.where(find_flat(variance, mean_square), 0.0, variance))
 
 
 def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> Array:
