@@ -7,13 +7,15 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.view import CellSlopes
+from ddic.functionals.view import View
+from ddic.parallel.field import ByView
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 from support.seen import make_seen
+from support.split_model import field_of
 
 Array = NDArray[np.float64]
 SHIFT = (0.3, -0.2)
@@ -22,12 +24,9 @@ DIM = 0.8 * PAIR.deformed.astype(float) + 12.0 + np.random.default_rng(0).normal
 
 
 def measure(model: ResidualModel, q: Array) -> SeenCells:
-    ((seen,),) = measure_seen_cells(model, model.evaluate([q]), [[_slopes(model)]])
+    evaluation = model.evaluate(field_of(model, [q]))
+    ((seen,),) = measure_seen_cells(model, evaluation, model.views.map(View.measure_slopes))
     return seen
-
-
-def _slopes(model: ResidualModel) -> CellSlopes:
-    return model.views[0].views[0].view.measure_slopes()
 
 
 @pytest.mark.parametrize("correction", ["none", "global", "element"])
@@ -37,12 +36,12 @@ def test_it_is_that_of_the_pixels(correction: GreyCorrection, element: float) ->
     model = model_of(source(PAIR.reference), source(DIM), mesh, correction)
     q = np.tile(SHIFT, mesh.n_nodes)
     seen = measure(model, q)
-    view = model.views[0].views[0]
-    reference = view.view.correlation.reference
+    view = model.views[0][0]
+    reference = view.correlation.reference
     place = reference.window
     f = reference.values.astype(float)
     g = f - view.compute_residual_image(q)
-    grey = model.evaluate([q]).grey[0]
+    grey = model.evaluate(field_of(model, [q])).grey[0]
     corners = mesh.nodes[mesh.connectivity.reshape(-1, 4)]
     low, high = (corners.min(axis=1) - (place.x0, place.y0)).astype(int), (
         corners.max(axis=1) - (place.x0, place.y0)).astype(int)
@@ -107,7 +106,7 @@ def test_cells_without_pixels_are_not_collected() -> None:
     mask[:, 70:] = False
     model = model_of(source(PAIR.reference), source(PAIR.deformed, mask), mesh)
     seen = measure(model, np.tile(SHIFT, mesh.n_nodes))
-    (collected,) = collect_cells(model, [[seen]]).values()
+    (collected,) = collect_cells(model, ByView([[seen]])).values()
     assert 0 < len(collected.n_pixels) < mesh.n_cells
     assert (collected.n_pixels > 0).all()
     assert collected.n_pixels.sum() == seen.n_pixels.sum()

@@ -74,6 +74,14 @@ class GreySums:
         return first, np.maximum(second, 0.0)
 
 
+def measure_deviation(n_pixels: float, first: NDArray[np.float64], second: NDArray[np.float64]) -> tuple[float, float]:
+    """Measure the standard deviation and the root mean square of grey levels from their sum and that of squares."""
+    mean, mean_square = float(first) / n_pixels, float(second) / n_pixels
+    # Rounding may leave a variance of nothing below zero.
+    variance = max(mean_square - mean**2, 0.0)
+    return float(np.sqrt(variance)), float(np.sqrt(mean_square))
+
+
 @dataclass(frozen=True)
 class GreyState:
     """Grey-level statistics of one camera's pixels of the whole region at one displacement.

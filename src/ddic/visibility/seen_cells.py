@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import find_flat, find_weighted_median, find_weighted_quantile
-from ddic.functionals.view import CellSlopes
+from ddic.functionals.view import CellSlopes, FrameView
+from ddic.parallel.field import ByView
 from ddic.problem.residual_model import Evaluation, ResidualModel
 
 Array = NDArray[np.float64]
@@ -118,16 +119,14 @@ class TypicalCell:
         return self.noise <= MOST_NOISE * self.contrast
 
 
-def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
-                       slopes: Sequence[Sequence[CellSlopes]]) -> list[list[SeenCells]]:
-    """Measure the cells of owned subdomains in a frame, by subdomain and view; free of communication."""
-    found = [[_measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
-              for view, residual, of_view in zip(of_subdomain.views, residuals, of_views, strict=True)]
-             for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, slopes, strict=True)]
-    if whole.correction == "none":
-        return found
-    return [[replace(cells, coefficient=np.abs(cells.coefficient)) for cells in of_subdomain]
-            for of_subdomain in found]
+def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation, slopes: ByView[CellSlopes]) -> ByView[SeenCells]:
+    """Measure the cells of owned subdomains in a frame; free of communication."""
+
+    def measure(view: FrameView, residual: Residual, of_view: CellSlopes) -> SeenCells:
+        cells = _measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
+        return cells if whole.correction == "none" else replace(cells, coefficient=np.abs(cells.coefficient))
+
+    return whole.views.map(measure, evaluation.residuals, slopes)
 
 
 def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> SeenCells:
@@ -152,7 +151,7 @@ def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
 def _find_spread(mean_square: Array, mean: Array) -> Array:
     """Standard deviation of grey levels; 0 where they are all alike but for rounding."""
     variance = mean_square - mean**2
-    return np.sqrt(np.where(find_flat(variance, mean_square), 0.0, variance))
+    return np.asarray(np.sqrt(np.where(find_flat(variance, mean_square), 0.0, variance)))
 
 
 def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> Array:
@@ -165,19 +164,17 @@ def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     return np.asarray(np.einsum("ci,ci->c", b, translation))
 
 
-def collect_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]]) -> dict[int, SeenCells]:
+def collect_cells(whole: ResidualModel, seen: ByView[SeenCells]) -> dict[int, SeenCells]:
     """Gather cells with pixels from all ranks, by camera, not more than medians need; collective.
 
     They are the same on all ranks, and on any number of ranks but for the order.
     """
-    team = whole.team
-    n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in whole.views))
+    team, subdomains = whole.team, whole.subdomains
+    n_cells = team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
     step = max(1, int(n_cells) // ENOUGH_CELLS)
-    mine = []
-    for of_subdomain, of_views in zip(whole.views, seen, strict=True):
-        is_sampled = of_subdomain.subdomain.cell_ids % step == 0
-        mine += [(view.camera, of_view.choose(is_sampled & (of_view.n_pixels > 0)))
-                 for view, of_view in zip(of_subdomain.views, of_views, strict=True)]
+    are_sampled = whole.views.fill([subdomain.cell_ids % step == 0 for subdomain in subdomains])
+    chosen = seen.map(lambda cells, is_sampled: cells.choose(is_sampled & (cells.n_pixels > 0)), are_sampled)
+    mine = [(view.camera, cells) for view, cells in zip(whole.views.flat, chosen.flat, strict=True)]
     by_camera: dict[int, list[SeenCells]] = {}
     for camera, cells in team.gather_lists(mine):
         by_camera.setdefault(camera, []).append(cells)
