@@ -21,6 +21,7 @@ from bench.support.step_problem import (
     prepare_whole,
 )
 from ddic.case.schema import Case
+from ddic.parallel.field import Field
 from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_problem import build_dual_problem
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
@@ -61,8 +62,9 @@ def error_curve(kind: Preconditioner, problem: StepProblem, b: Vector, reference
     # The step keeps its own to itself; what multipliers correct is the same.
     interface = build_dual_problem(ALONE, assembly.systems, operators, scale)
     shared = problem.count_subdomains()
-    right = [b[n] / shared[n] for n in problem.numbers]
-    free = [operator.solve(r) for operator, r in zip(operators, right, strict=True)]
+    at_rest = Field.zero(ALONE, [system.subdomain for system in assembly.systems])
+    right = at_rest.with_parts(b[n] / shared[n] for n in problem.numbers)
+    free = at_rest.with_parts(operator.solve(r) for operator, r in zip(operators, right, strict=True))
     curve: Curve = []
 
     def watch(ksp: PETSc.KSP, iteration: int, norm: float) -> None:
@@ -71,7 +73,7 @@ def error_curve(kind: Preconditioner, problem: StepProblem, b: Vector, reference
         curve.append((iteration, norm, float(np.sqrt(squares) / np.linalg.norm(reference))))
 
     step.ksp.setMonitor(watch)
-    step.solve([np.zeros(len(r)) for r in right], right)
+    step.solve(at_rest, right)
     n_interface = step.n_interface
     step.destroy()
     interface.destroy()

@@ -25,6 +25,7 @@ from ddic.images.window import merge_windows
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.io.result_reader import read_result
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
@@ -80,12 +81,12 @@ def do_once(team: Team, inputs: Inputs, frame: Frame, subdomains: list[Subdomain
     references = watch("reference", lambda: read_reference_views(case, inputs.cameras, subdomains))
     views = open_frame_views(case, frame, references)
     watch("deformed", lambda: read_frame_windows(views, q))
-    rasters = [reference.own.correlation.raster.window for reference in references]
+    rasters = [own.correlation.raster.window for own, *_ in references]
     shared = merge_windows(rasters, HALO[degree] + PADDING[degree])
     watch("gradient", lambda: [read_reference(camera.reference, window, degree) for window, _ in shared])
-    watch("M", lambda: [reference.own.correlation.compute_cell_hessians() for reference in references])
+    watch("M", lambda: [own.correlation.compute_cell_hessians() for own, *_ in references])
     model = ResidualModel(team, subdomains, views, case.correlation.correction_of_start)
-    watch("residual", lambda: model.linearize(q))
+    watch("residual", lambda: model.linearize(Field(team, subdomains, q)))
     return watch.times
 
 

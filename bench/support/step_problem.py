@@ -21,7 +21,7 @@ from ddic.functionals.regularization import controlled_stiffness
 from ddic.functionals.view import FrameView
 from ddic.inputs.inputs import open_inputs
 from ddic.mesh.mesh import Mesh
-from ddic.parallel.field import ByView
+from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly, assemble
@@ -222,7 +222,9 @@ def solve_dual(problem: StepProblem, settings: DualSettings, q: Vector, b: Vecto
     operators = factorize(assembly)
     step = DualStep(problem.team, assembly.systems, operators, assembly.reaction_scale, settings)
     try:
-        return step.solve([q[n] for n in problem.numbers], [b[n] for n in problem.numbers])
+        subdomains = [system.subdomain for system in assembly.systems]
+        start = Field(problem.team, subdomains, [q[n] for n in problem.numbers])
+        return step.solve(start, start.with_parts(b[n] for n in problem.numbers))
     finally:
         step.destroy()
         for operator in operators:
@@ -257,7 +259,8 @@ def correct_monolithically(whole: StepProblem, q: Vector, b: Vector,
         system = replace(system, stiffness=stiffness, row_weights=weights)
     operator = LocalOperator(system.operator, smallest_eigenvalue=0.0, where="the whole mesh")
     try:
-        return MonolithicStep(system, operator).solve([q], [b]).dq[0]
+        start = Field(whole.team, [system.subdomain], [q])
+        return MonolithicStep(system, operator).solve(start, start.with_parts([b])).dq[0]
     finally:
         operator.destroy()
 

@@ -17,9 +17,10 @@ from ddic.problem.held_cells import CAPTURED, RELEASED, HeldCells, sum_pulls
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.exclusions import HELD_OFF, SPOILT, Exclusions, exclude, pull_held_cells
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
-from support.split_model import field_of, split_model
+from support.split_model import split_model
 
 Array = NDArray[np.float64]
 MESH = square_mesh(24.0, 88.0)

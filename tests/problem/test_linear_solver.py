@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import SingularSubdomainError, is_collective
+from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import Assembly
@@ -49,8 +50,9 @@ def _solver(team: Team, problem: ReferenceProblem, assembly: Assembly) -> Linear
 
 def _solve(problem: ReferenceProblem, solver: LinearSolver) -> list[Array]:
     """dq for a right-hand side that is one function of unknowns' numbers, shared out among copies."""
-    b = [np.sin(1.0 + s.numbers) * 1e4 / s.all_multiplicity for s in problem.subdomains]
-    return solver.step.solve([np.zeros_like(b_s) for b_s in b], b, None).dq
+    at_rest = Field.zero(problem.team, problem.subdomains)
+    b = at_rest.with_parts(np.sin(1.0 + s.numbers) * 1e4 / s.all_multiplicity for s in problem.subdomains)
+    return list(solver.step.solve(at_rest, b, None).dq)
 
 
 def _difference(team: Team, one: list[Array], other: list[Array]) -> float:

@@ -23,9 +23,9 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import Tolerances
 from ddic.synth.fields import Translation
+from support.fields import field_of
 from support.one_subdomain import measure_alone, model_of
 from support.pictures import pair_of, rms_error, source, square_mesh
-from support.split_model import field_of
 
 MESH = square_mesh(24.0, 168.0)
 STILL = Translation((0.0, 0.0))

@@ -46,7 +46,7 @@ def _count_growth(folder: Path, work: Callable[[], None]) -> dict[str, int]:
 def _solve_twice(cut: Decomposed, step: DualStep | AssembledStep | ConjugateGradientStep) -> None:
     for allowed in (AllowedError(1e-2), None):
         result = cut.solve(step, allowed=allowed)
-    average_copies(cut.team, cut.subdomains, result.dq)
+    average_copies(result.dq)
 
 
 @pytest.mark.parallel(RANKS)

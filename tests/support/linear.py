@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -19,6 +19,7 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
 from ddic.partition.split import split_by_blocks, split_by_metis
@@ -125,7 +126,8 @@ def one_domain_solution(problem: StepProblem, parts: NDArray[np.int64], weightin
     system = problem.system(whole, 1 / np.sqrt(m) if weighting == "paper" else np.ones(len(m)))
     operator = LocalOperator(system.operator, smallest_eigenvalue=0, where="whole mesh")
     try:
-        return MonolithicStep(system, operator).solve([problem.q], [problem.b]).dq[0]
+        q = Field(Team.alone(), [whole], [problem.q])
+        return MonolithicStep(system, operator).solve(q, q.with_parts([problem.b])).dq[0]
     finally:
         operator.destroy()
 
@@ -171,7 +173,12 @@ class Decomposed:
         """Solve with the problem's q and b (or another b), a shared unknown's b spread over its copies."""
         b = self.problem.b if b is None else b
         shares = [b[d] / s.multiplicity for d, s in zip(self.numbers, self.subdomains, strict=True)]
-        return step.solve([self.problem.q[d] for d in self.numbers], shares, allowed)
+        q = self.field(self.problem.q[d] for d in self.numbers)
+        return step.solve(q, self.field(shares), allowed)
+
+    def field(self, parts: Iterable[NDArray[np.float64]]) -> Field:
+        """A field from its parts."""
+        return Field(self.team, self.subdomains, parts)
 
     def relative_error(self, dq: Sequence[NDArray[np.float64]], reference: NDArray[np.float64]) -> float:
         """Largest difference over all ranks relative to the largest unknown."""

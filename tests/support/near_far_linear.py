@@ -32,6 +32,7 @@ from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
@@ -152,7 +153,9 @@ class NearFarCut:
             parts = [view.weight * view.kinematics.project_vector(force)
                      for view, force in zip(of_subdomain, self.problem.forces[k], strict=True)]
             b.append(np.sum(parts, axis=0))
-        return step.solve([self.problem.q[k] for k in self.numbers], b)
+        q = Field(self.team, [self.problem.subdomains[k] for k in self.numbers],
+                  [self.problem.q[k] for k in self.numbers])
+        return step.solve(q, q.with_parts(b))
 
     def relative_error(self, dq: list[Array], reference: list[Array]) -> float:
         """Largest difference in any unknown over all ranks, relative to the largest unknown."""

@@ -17,9 +17,10 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton, stay_silent
+from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from support.fields import field_of
 
 
 def model_of(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh, correction: GreyCorrection = "none",
@@ -44,9 +45,9 @@ def measure_alone(model: ResidualModel, *, q: NDArray[np.float64] | None = None,
     system = system_of(model)
     threshold = 1e-9 * float(system.hessian.diagonal().mean())
     operator = LocalOperator(system.hessian, smallest_eigenvalue=threshold, where="test")
-    start = np.zeros(system.subdomain.n_unknowns) if q is None else q
+    start = field_of(model, [np.zeros(system.subdomain.n_unknowns) if q is None else q])
     try:
-        return gauss_newton(model, [start], MonolithicStep(system, operator), tolerances or Tolerances(),
-                            Progress(PhaseClock(), stay_silent))
+        return gauss_newton(model, start, MonolithicStep(system, operator), tolerances or Tolerances(),
+                            Progress(PhaseClock()))
     finally:
         operator.destroy()

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
@@ -14,7 +11,7 @@ from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
-from ddic.parallel.field import ByView, Field
+from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
@@ -31,11 +28,6 @@ def split_model(team: Team, reference: MaskedSource, deformed: MaskedSource, mes
     own = [everything[k] for k in split_evenly(np.ones(len(everything)), team.size)[team.rank]]
     views = ByView([View(read_correlation(s.mesh, reference, 3), s.kinematics)] for s in own)
     return ResidualModel(team, own, views.map(lambda view: view.open_frame(DeformedSubImage(deformed, 3))), correction)
-
-
-def field_of(model: ResidualModel, parts: Sequence[NDArray[np.float64]]) -> Field:
-    """Unknowns of owned subdomains as one field."""
-    return Field(model.team, model.subdomains, parts)
 
 
 def systems_of(model: ResidualModel) -> list[LocalSystem]:

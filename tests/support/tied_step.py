@@ -33,6 +33,7 @@ from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tie_meshes
@@ -137,7 +138,8 @@ class TiedCut:
             q.append(self.problem.q[s.numbers])
             nodal = self.problem.forces[s.camera].reshape(-1, 2) / np.maximum(self.copies, 1)[:, None]
             b.append(own.weight * own.kinematics.project_vector(nodal[s.node_ids].ravel()))
-        return step.solve(q, b)
+        start = Field(self.team, self.subdomains, q)
+        return step.solve(start, start.with_parts(b))
 
     def relative_error(self, dq: list[Array], reference: tuple[Array, Array]) -> float:
         """Largest difference of displacements of mesh nodes and motions, relative to the largest of them."""

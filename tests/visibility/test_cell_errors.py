@@ -18,9 +18,9 @@ from ddic.visibility.cell_errors import (
     find_cell_errors,
     measure_cell_residuals,
 )
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
-from support.split_model import field_of
 
 MESH = square_mesh(24.0, 168.0)
 FIELD = Translation((0.3, -0.4))

@@ -19,9 +19,9 @@ from ddic.visibility.exclusions import (
     Exclusions,
     exclude,
 )
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
-from support.split_model import field_of
 
 MESH = square_mesh(24.0, 88.0)
 PAIR = pair_of(Translation((0.3, -0.2)), 128, 8)

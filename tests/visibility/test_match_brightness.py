@@ -17,10 +17,10 @@ from ddic.synth.fields import Translation
 from ddic.visibility.brightness import match_brightness
 from ddic.visibility.seen_cells import collect_cells, find_typical_cell, measure_seen_cells
 from support.cases import write_case
+from support.fields import field_of
 from support.measuring import field_on_one_rank, measure, whole_field
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
-from support.split_model import field_of
 
 Image = NDArray[np.float64]
 SIDE = 192

@@ -12,10 +12,10 @@ from ddic.parallel.field import ByView
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 from support.seen import make_seen
-from support.split_model import field_of
 
 Array = NDArray[np.float64]
 SHIFT = (0.3, -0.2)

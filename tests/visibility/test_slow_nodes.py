@@ -28,8 +28,9 @@ from ddic.visibility.slow_nodes import (
     confine_to_slow_nodes,
     estimate_node_deviations,
 )
+from support.fields import field_of
 from support.pictures import pair_of, source, square_mesh
-from support.split_model import field_of, split_model, systems_of
+from support.split_model import split_model, systems_of
 from support.spoilt import FIELD, blank_half, clean, hide
 from support.spoilt import MESH as SPOILT_MESH
 

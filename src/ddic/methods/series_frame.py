@@ -42,14 +42,14 @@ class KnownFrameStart:
     ----------
     name : str
         For the log.
-    q : list of (n_unknowns,) array
+    q : sequence of (n_unknowns,) array
         Unknowns of owned subdomains since the first reference image.
     least_shown : float
         Share of the cells that it must show.
     """
 
     name: str
-    q: list[NDArray[np.float64]]
+    q: Sequence[NDArray[np.float64]]
     least_shown: float
 
 

@@ -25,6 +25,7 @@ from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.plane import build_tree
+from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
@@ -75,8 +76,8 @@ class Measurement:
         What is known of the whole mesh.
     model, whole : ResidualModel
         Owned subdomains with their pixels; ``whole`` with all that the frame shows, also those that do not count.
-    q : list of (n_unknowns,) array
-        Unknowns of each since the reference image in use, one value for the copies of an interface unknown (Eq. 41 of
+    q : Field
+        Unknowns since the reference image in use, one value for the copies of an interface unknown (Eq. 41 of
         [BP17]).
     largest_jump : float
         Largest difference between copies before that, pixels.
@@ -112,7 +113,7 @@ class Measurement:
     frame: Frame
     region: Region
     model: ResidualModel
-    q: list[Array]
+    q: Field
     largest_jump: float
     evaluation: Evaluation
     size: ProblemSize
@@ -148,12 +149,10 @@ class Measurement:
         return subdomains if updated is None else [updated.place_first(subdomain) for subdomain in subdomains]
 
     @property
-    def unknowns(self) -> list[Array]:
-        """Unknowns of each owned subdomain since the first reference image, (n_unknowns,): q, but for updates."""
+    def unknowns(self) -> Field:
+        """Unknowns since the first reference image: q, but for updates."""
         updated = self.inputs.updated
-        if updated is None:
-            return self.q
-        return [before + q_s for before, q_s in zip(updated.restrict(self.subdomains), self.q, strict=True)]
+        return self.q if updated is None else self.q + updated.restrict(self.subdomains)
 
     @property
     def displacements(self) -> list[Array]:
@@ -260,7 +259,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     return measurement
 
 
-def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: list[Array],
+def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field,
                           unmeasured: list[NDArray[np.bool_]]) -> tuple[Uncertainty | None, tuple[str, ...]]:
     """Standard deviations, and what is said of them; a linear step that fails for them does not lose the field."""
     from ddic.results.field_uncertainty import describe_uncertainty, estimate_uncertainty

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.errors import ConvergenceError, as_collective
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.solvers.correction_size import measure_unit_size
 from ddic.solvers.linear_step import AllowedError, StepResult
@@ -62,15 +62,14 @@ class ConjugateGradientStep:
             self._objects = stack.pop_all()
         self.forget()
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s, with an estimate of its error; where copies of an unknown differ in q, q + dq is one field.
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq, with an estimate of its error; where copies of an unknown differ in q, q + dq is one field.
 
         The last solution is taken up again where that helps, as it does when one step is asked for more exactly. Raises
         ConvergenceError on all ranks, where ``max_iterations`` are not enough.
         """
-        mean = self._whole.average_copies(q)
-        self._whole.set_right_hand_side(self._right, q, b, mean)
+        q_mean = self._whole.average_copies(q)
+        self._whole.set_right_hand_side(self._right, q, b, q_mean)
         size = self._preconditioned_norm(self._right)
         begun = self._preconditioned_norm(self._residual_of_last())
         if not begun < size:
@@ -88,8 +87,8 @@ class ConjugateGradientStep:
                 'them, or nothing holds a part of the region; use solver.method = "dual", or raise '
                 "solver.max_iterations"))
         history = np.array(self._ksp.getConvergenceHistory()) / (size or 1.0)
-        return StepResult(self._whole.find_corrections(self._left, q, mean), iterations, history,
-                          self._estimate_error(norm))
+        dq = self._whole.find_correction(self._left, q, q_mean)
+        return StepResult(dq, iterations, history, self._estimate_error(norm))
 
     def forget(self) -> None:
         """Forget the last solution, and the bounds of the eigenvalues that earlier steps found."""

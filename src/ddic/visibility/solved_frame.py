@@ -21,7 +21,6 @@ from ddic.solvers.gauss_newton import (
     PATIENCE,
     AndersonMixing,
     Correction,
-    Course,
     Model,
     Pause,
     Progress,
@@ -124,7 +123,7 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
 
     def run(model: Model, pause: Pause | None, mixing: AndersonMixing | None = mixing) -> Solution:
         on = replace(progress, n_before=len(before.records) + len(found.records), is_local=model is not used)
-        went_on = run_gauss_newton(model, found.q, problem.solver.step, tolerances, on, Course(pause, mixing))
+        went_on = run_gauss_newton(model, found.q, problem.solver.step, tolerances, on, pause, mixing)
         return replace(went_on, records=[*found.records, *went_on.records])
 
     slow: SlowNodes | None = None
@@ -177,7 +176,7 @@ def _is_found(size: CorrectionSize, tolerances: Tolerances) -> bool:
 
 def _join(problem: WeightedProblem, solved: SolvedFrame, found: Solution) -> SolvedFrame:
     joined = replace(found, records=[*solved.solution.records, *found.records])
-    field = average_copies(problem.team, problem.reference.subdomains, joined.q)
+    field = average_copies(joined.q)
     notes = (*solved.notes, *problem.solver.release_notes())
     return replace(solved, field=field, solution=joined, notes=notes, is_evaluated=False)
 
@@ -190,7 +189,7 @@ def _prepare_mixing(problem: WeightedProblem) -> AndersonMixing:
         shares = np.repeat(1.0 / subdomain.node_multiplicity, subdomain.mesh.dim)
         of_unknowns[:subdomain.n_field] = subdomain.kinematics.tangent.power(2).T @ shares
         weights.append(of_unknowns)
-    return AndersonMixing(problem.team, weights)
+    return AndersonMixing(weights)
 
 
 def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: ResidualModel | None = None) -> SeenFrame:

@@ -7,6 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
@@ -38,7 +39,7 @@ def test_mean_of_copies_and_largest_jump(kind: str, wavelength: float | None) ->
     mean = np.array([np.mean(values) for values in copies])
     jump = max(max(values) - min(values) for values in copies)
     mine = _own(problem, everything)
-    found = average_copies(Team.world(), mine, [fields[s.index] for s in mine])
+    found = average_copies(Field(Team.world(), mine, [fields[s.index] for s in mine]))
     for s, q in zip(mine, found.q, strict=True):
         # The mean of at most 9 numbers of order 1.
         np.testing.assert_allclose(q, mean[dofs[s.index]], rtol=0, atol=1e-14)
@@ -51,8 +52,8 @@ def test_copies_agree_to_the_last_bit_and_a_continuous_field_has_no_jump() -> No
     everything = build_subdomains(problem.region, split(problem.mesh, "metis", 9), problem.controlled)
     mine = _own(problem, everything)
     rng = np.random.default_rng(MPI.COMM_WORLD.rank)
-    once = average_copies(Team.world(), mine, [rng.normal(size=s.mesh.n_dofs) for s in mine])
-    twice = average_copies(Team.world(), mine, once.q)
+    once = average_copies(Field(Team.world(), mine, [rng.normal(size=s.mesh.n_dofs) for s in mine]))
+    twice = average_copies(once.q)
     assert once.largest_jump > 0
     assert twice.largest_jump == 0.0
 
@@ -63,5 +64,5 @@ def test_the_fields_that_went_in_are_left_alone() -> None:
     everything = build_subdomains(problem.region, split(problem.mesh, "blocks", 4), problem.controlled)
     mine = _own(problem, everything)
     fields = [np.full(s.mesh.n_dofs, float(s.index)) for s in mine]
-    average_copies(Team.world(), mine, fields)
+    average_copies(Field(Team.world(), mine, fields))
     assert all((q == s.index).all() for q, s in zip(fields, mine, strict=True))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain, rows_of
 from ddic.solvers.dual.local_dual import LocalDual, RankDual, add_motion_rows, build_local_dual
@@ -209,13 +210,11 @@ class DualProblem:
         """Subdomains of this rank."""
         return [system.subdomain for system in self.systems]
 
-    def set_right_hand_side(self, right: PETSc.Vec, free: Sequence[NDArray[np.float64]],
-                            q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> None:
+    def set_right_hand_side(self, right: PETSc.Vec, free: Field, q: Field, b: Field) -> None:
         """Set a vector to t_tot = sum_s G_s (u_s + free_s), Eq. 27 of [BP17]; collective.
 
         Rows of a camera's motion are (N_s^T free_s - R_s^T b_s) / kappa. Of each owned subdomain, ``free`` is
-        A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), (n_field,); ``q`` is u_s, then the camera's motion, and ``b`` is b_s,
-        both (n_unknowns,).
+        A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), (n_field,); ``q`` is u_s, then the camera's motion.
         """
         fields = [q_s[:len(free_s)] + free_s for q_s, free_s in zip(q, free, strict=True)]
         total = self.operator.of_rank.sum_jumps(fields)
@@ -225,24 +224,20 @@ class DualProblem:
                 total[motion.rows] -= motion.columns.T @ q_s[:n_field] + b_s[n_field:] / motion.scale
         self.exchange.add_to_owners(total, right)
 
-    def correct(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
-        """Correct the fields by the multipliers v, Eq. 24a of [BP17]; collective.
+    def correct(self, free: Field, multipliers: PETSc.Vec) -> Field:
+        """Correct by the multipliers v: du_s = free_s - A_s^-1 G_s^T v, pixels, Eq. 24a of [BP17]; collective."""
+        v = self.exchange.fetch_ghosts(multipliers)
+        return free - self.operator.of_rank.solve_forces(v)
 
-        Gives du_s = free_s - A_s^-1 G_s^T v of each owned subdomain, (n_field,), pixels; ``free`` are the parts without
-        multipliers.
+    def append_motion(self, du: Field, multipliers: PETSc.Vec) -> Field:
+        """Append the corrections of cameras' motions, pixels, to those of the fields; collective.
+
+        They are taken from the multipliers v, among which are kappa alpha.
         """
         v = self.exchange.fetch_ghosts(multipliers)
-        return [free_s - forced_s for free_s, forced_s in zip(free, self.operator.of_rank.solve_forces(v), strict=True)]
-
-    def append_motion(self, du: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
-        """Append the corrections of cameras' motions to those of the fields, pixels; collective.
-
-        The motions are taken from the multipliers v, among which are kappa alpha; the result is dq_s of each owned
-        subdomain, (n_unknowns,).
-        """
-        v = self.exchange.fetch_ghosts(multipliers)
-        return [du_s if local.motion is None else np.concatenate([du_s, v[local.motion.rows] / local.motion.scale])
-                for du_s, local in zip(du, self.local_duals, strict=True)]
+        return du.with_parts(
+            du_s if local.motion is None else np.concatenate([du_s, v[local.motion.rows] / local.motion.scale])
+            for du_s, local in zip(du, self.local_duals, strict=True))
 
     def destroy(self) -> None:
         """Free PETSc's objects; local factors are their maker's."""
