@@ -50,7 +50,7 @@ def _solver(team: Team, problem: ReferenceProblem, assembly: Assembly) -> Linear
 
 def _solve(problem: ReferenceProblem, solver: LinearSolver) -> list[Array]:
     """dq for a right-hand side that is one function of unknowns' numbers, shared out among copies."""
-    at_rest = Field.zero(problem.team, problem.subdomains)
+    at_rest = Field.zero(Team.world(), problem.subdomains)
     b = at_rest.with_parts(np.sin(1.0 + s.numbers) * 1e4 / s.all_multiplicity for s in problem.subdomains)
     return list(solver.step.solve(at_rest, b, None).dq)
 

@@ -138,20 +138,16 @@ def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     variance = np.where(n >= FEWEST_PIXELS, of_own, of_used) / safe
     _, r, g, rr, gg, rg = np.moveaxis(sums.values, -1, 0)
     mean_f, mean_g = (r + g) / safe, g / safe
-    spread_f = _find_spread((rr + 2 * rg + gg) / safe, mean_f)
-    spread_g = _find_spread(gg / safe, mean_g)
+    square_f, square_g = (rr + 2 * rg + gg) / safe, gg / safe
+    variance_f, variance_g = square_f - mean_f**2, square_g - mean_g**2
+    spread_f, spread_g = np.sqrt(np.maximum(variance_f, 0.0)), np.sqrt(np.maximum(variance_g, 0.0))
     covariance = (rg + gg) / safe - mean_f * mean_g
     # Where nothing varies, nothing but rounding correlates.
-    coefficient = np.where(spread_f * spread_g > 0, covariance / np.maximum(spread_f * spread_g, TINY), 0.0)
+    is_flat = find_flat(variance_f, square_f) | find_flat(variance_g, square_g)
+    coefficient = np.where(is_flat, 0.0, covariance / np.maximum(spread_f * spread_g, TINY))
     spread_g = np.where(coefficient < -CORRELATED, -spread_g, spread_g)
     unexplained = np.maximum(variance - _explain(residual, slopes, correction), 0.0)
     return SeenCells(n, variance, unexplained, slopes.texture, mean_f, mean_g, spread_f, spread_g, coefficient)
-
-
-def _find_spread(mean_square: Array, mean: Array) -> Array:
-    """Standard deviation of grey levels; 0 where they are all alike but for rounding."""
-    variance = mean_square - mean**2
-    return np.asarray(np.sqrt(np.where(find_flat(variance, mean_square), 0.0, variance)))
 
 
 def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> Array:
