@@ -22,9 +22,9 @@ from bench.support.step_problem import (
 )
 from ddic.case.schema import Case
 from ddic.parallel.field import Field
-from ddic.solvers.dual.build_preconditioner import Preconditioner
-from ddic.solvers.dual.dual_problem import build_dual_problem
+from ddic.solvers.dual.dual_problem import DualProblem
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 
 KINDS: tuple[Preconditioner, ...] = ("none", "paper", "scaled")
 TOLERANCE, MOST_ITERATIONS = 1e-8, 3000
@@ -60,7 +60,7 @@ def error_curve(kind: Preconditioner, problem: StepProblem, b: Vector, reference
     scale = assembly.reaction_scale
     step = DualStep(ALONE, assembly.systems, operators, scale, DualSettings(kind, TOLERANCE, MOST_ITERATIONS))
     # The step keeps its own to itself; what multipliers correct is the same.
-    interface = build_dual_problem(ALONE, assembly.systems, operators, scale)
+    interface = DualProblem(ALONE, assembly.systems, operators, scale)
     shared = problem.count_subdomains()
     at_rest = Field.zero(ALONE, [system.subdomain for system in assembly.systems])
     right = at_rest.with_parts(b[n] / shared[n] for n in problem.numbers)

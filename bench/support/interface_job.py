@@ -34,8 +34,8 @@ from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.gauss_newton import SHARE
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.local_operator import LocalOperator

@@ -27,8 +27,8 @@ from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import ConvergenceError
 from ddic.parallel.field import Field
 from ddic.problem.assembly import Assembly
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
 

@@ -13,10 +13,9 @@ from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.parallel.team import Team
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.build_preconditioner import Preconditioner
-from ddic.solvers.dual.continuity import average_copies
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.dual.preconditioner import LocalInverseKind, SparseInverse
+from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, SparseInverse
+from ddic.solvers.exchange import average_copies
 from ddic.solvers.linear_step import AllowedError
 from ddic.solvers.local_operator import LocalOperator
 from support.linear import Decomposed, StepProblem, linear_step, split

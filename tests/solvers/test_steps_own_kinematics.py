@@ -14,9 +14,9 @@ from ddic.parallel.team import Team
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.correction_size import measure_unit_size
-from ddic.solvers.dual.build_preconditioner import Preconditioner
-from ddic.solvers.dual.continuity import average_copies
 from ddic.solvers.dual.dual_step import DualSettings
+from ddic.solvers.dual.preconditioner import Preconditioner
+from ddic.solvers.exchange import average_copies
 from ddic.solvers.linear_step import LinearStep
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 

@@ -24,7 +24,7 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain, Weighting, interface_weights
-from ddic.solvers.dual.dual_problem import DualProblem, build_dual_problem
+from ddic.solvers.dual.dual_problem import DualProblem
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
@@ -164,7 +164,7 @@ class Decomposed:
 
     def dual_problem(self) -> DualProblem:
         """The interface problem, freed at the end."""
-        problem = build_dual_problem(self.team, self.systems, self.operators, self.problem.scale)
+        problem = DualProblem(self.team, self.systems, self.operators, self.problem.scale)
         self._held.append(problem)
         return problem
 

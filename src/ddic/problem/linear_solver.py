@@ -18,8 +18,8 @@ from ddic.problem.assembly import Assembly
 from ddic.problem.region_mesh import compute_cut_off_wavelength
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import GuardedStep, LinearStep
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep

@@ -50,7 +50,7 @@ class ConjugateGradientStep:
             self._whole = stack.keep(WholeSystem(team, systems))
             size = (self._whole.n_owned, PETSc.DETERMINE)
             self._matrix = stack.keep(PETSc.Mat())
-            self._matrix.createPython((size, size), _Product(self._whole), comm=team.comm)
+            self._matrix.createPython((size, size), self._whole, comm=team.comm)
             self._matrix.setOption(PETSc.Mat.Option.SPD, True)
             self._matrix.setUp()
             self._left = stack.keep(self._whole.create_vector())
@@ -148,23 +148,3 @@ class ConjugateGradientStep:
             return int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL) if self._estimate_error(norm) <= error else 0
 
         return test
-
-
-class _Product:
-    """Context of the shell matrix A."""
-
-    def __init__(self, whole: WholeSystem) -> None:
-        self._whole = whole
-
-    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """PETSc's callback for y = A x."""
-        exchange = self._whole.exchange
-        exchange.add_to_owners(self._whole.apply(exchange.fetch_ghosts(x)), y)
-
-    def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
-        """PETSc's callback for D; rows of Kbar on interfaces are squared one by one, for it only preconditions."""
-        whole = self._whole
-        parts = []
-        for system, rows in zip(whole.systems, whole.rows, strict=True):
-            parts.append(system.hessian.diagonal() + system.eta * rows.sum_squares())
-        whole.exchange.add_to_owners(whole.add_up(parts), diagonal)

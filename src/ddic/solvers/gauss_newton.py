@@ -37,8 +37,10 @@ LEAST_SHARE = 1e-12
 class AndersonMixing:
     """Mixes corrections with those before: q + dq - sum_k gamma_k (dq_k + ddq_k), |dq - sum_k gamma_k ddq_k| least.
 
-    ``weights`` are those of the squared unknowns of each owned subdomain in the norm, (n_unknowns,); copies of an
-    unknown share its weight.
+    Parameters
+    ----------
+    weights : sequence of (n_unknowns,) array
+        Of the squared unknowns of each owned subdomain in the norm; copies of an unknown share its weight.
     """
 
     def __init__(self, weights: Sequence[Array]) -> None:

@@ -78,13 +78,19 @@ class WholeSystem:
         """Add up values of each owned subdomain over the subdomains of all ranks: sums here, (n_here,); collective."""
         return self.exchange.sum_over_ranks(self.add_up(values))
 
-    def apply(self, here: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply this rank's part of A to x, here, (n_here,), to be added up by the owners; collective."""
-        x = self.restrict(here)
-        gap = self._find_gap(x)
+    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply y = A x: PETSc's callback, where this is the context of a shell matrix."""
+        x_here = self.restrict(self.exchange.fetch_ghosts(x))
+        gap = self._find_gap(x_here)
         products = [system.hessian @ x_s + system.eta * rows.multiply_transposed(gap_s)
-                    for system, rows, x_s, gap_s in zip(self.systems, self.rows, x, gap, strict=True)]
-        return self.add_up(products)
+                    for system, rows, x_s, gap_s in zip(self.systems, self.rows, x_here, gap, strict=True)]
+        self.exchange.add_to_owners(self.add_up(products), y)
+
+    def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        """Set a vector to A's diagonal, rows of Kbar on interfaces squared one by one, as is enough to precondition."""
+        of_systems = [system.hessian.diagonal() + system.eta * rows.sum_squares()
+                      for system, rows in zip(self.systems, self.rows, strict=True)]
+        self.exchange.add_to_owners(self.add_up(of_systems), diagonal)
 
     def set_right_hand_side(self, right: PETSc.Vec, q: Field, b: Field, q_mean: Field) -> None:
         """Set a vector to sum_s R_s^T (b_s + M_s (q_s - qbar_s)) - eta Kbar^T Kbar qbar; collective.
@@ -129,8 +135,8 @@ class WholeSystem:
         """Create a zero vector of owned unknowns over all ranks, the caller's to destroy."""
         return self.exchange.create_vector()
 
-    def destroy(self) -> None:
-        """Free PETSc's objects."""
+    def destroy(self, _: PETSc.Mat | None = None) -> None:
+        """Free PETSc's objects; PETSc calls it too, when the shell matrix goes whose context this is."""
         self._objects.close()
 
     def _find_gap(self, x: Field) -> Field:

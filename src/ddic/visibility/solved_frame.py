@@ -16,7 +16,7 @@ from ddic.parallel.field import Field
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
-from ddic.solvers.dual.continuity import ContinuousField, average_copies
+from ddic.solvers.exchange import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import (
     PATIENCE,
     AndersonMixing,

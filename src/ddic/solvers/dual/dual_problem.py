@@ -7,8 +7,6 @@ of near-field set-ups in the interface problem is eliminated exactly by the prec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +15,7 @@ from petsc4py import PETSc
 
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.subdomain import Subdomain, rows_of
+from ddic.partition.subdomain import rows_of
 from ddic.solvers.dual.local_dual import LocalDual, RankDual, add_motion_rows, build_local_dual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_operator import LocalOperator
@@ -174,41 +172,52 @@ def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, N
     return scales
 
 
-@dataclass(frozen=True)
 class DualProblem:
     """The interface problem, spread over ranks.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    systems : sequence of LocalSystem
+        This rank's subdomains.
+    operators : sequence of LocalOperator
+        Their A_s factorised, motions of cameras held; they stay their maker's to destroy.
+    scale : float
+        c of ``build_local_dual``.
 
     Attributes
     ----------
     systems : list of LocalSystem
-        This rank's subdomains, motions of cameras held.
+        The same, motions of cameras held.
     exchange : Exchange
         Of interface rows, its owner.
     local_duals : list of LocalDual
         Of each of these subdomains.
+    operator : DualSchurOperator
+        S_tot.
     n_motion : int
         Number of unknowns of all cameras' motions.
     """
 
-    systems: list[LocalSystem]
-    exchange: Exchange
-    local_duals: list[LocalDual]
-    n_motion: int
-
-    @property
-    def team(self) -> Team:
-        """The ranks."""
-        return self.exchange.team
-
-    @cached_property
-    def operator(self) -> DualSchurOperator:
-        """S_tot."""
-        return DualSchurOperator(self.exchange, self.local_duals)
-
-    @property
-    def subdomains(self) -> list[Subdomain]:
-        """Subdomains of this rank."""
-        return [system.subdomain for system in self.systems]
+    def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
+                 scale: float) -> None:
+        self.team = team
+        self.subdomains = [system.subdomain for system in systems]
+        self.systems = [system.without_motion for system in systems]
+        scales = sum_motion_scales(team, systems)
+        self.n_motion = sum(len(values) for values in scales.values())
+        rows = []
+        for subdomain in self.subdomains:
+            rows += [rows_of(subdomain.jumps), rows_of(subdomain.reactions)]
+            if subdomain.motion is not None:
+                rows.append(subdomain.motion.rows)
+        self.exchange = Exchange(team, sum(s.n_owned_rows for s in self.subdomains), rows)
+        self.local_duals = []
+        for system, held_system, operator in zip(systems, self.systems, operators, strict=True):
+            field = build_local_dual(held_system, operator, self.exchange.ghosts, scale)
+            self.local_duals.append(add_motion_rows(field, system, self.exchange.ghosts, scales))
+        self.operator = DualSchurOperator(self.exchange, self.local_duals)
 
     def set_right_hand_side(self, right: PETSc.Vec, free: Field, q: Field, b: Field) -> None:
         """Set a vector to t_tot = sum_s G_s (u_s + free_s), Eq. 27 of [BP17]; collective.
@@ -242,31 +251,3 @@ class DualProblem:
     def destroy(self) -> None:
         """Free PETSc's objects; local factors are their maker's."""
         self.exchange.destroy()
-
-
-def build_dual_problem(team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
-                       scale: float) -> DualProblem:
-    """Build the interface problem, the caller's to destroy; collective.
-
-    ``operators`` are the factors of A_s with motions of cameras held, ``scale`` is c of ``build_local_dual``.
-    """
-    subdomains = [system.subdomain for system in systems]
-    scales = sum_motion_scales(team, systems)
-    held_systems = [system.without_motion for system in systems]
-    exchange = Exchange(team, sum(s.n_owned_rows for s in subdomains), _list_rows(subdomains))
-    local_duals = []
-    for system, held_system, operator in zip(systems, held_systems, operators, strict=True):
-        field = build_local_dual(held_system, operator, exchange.ghosts, scale)
-        local_duals.append(add_motion_rows(field, system, exchange.ghosts, scales))
-    n_motion = sum(len(values) for values in scales.values())
-    return DualProblem(held_systems, exchange, local_duals, n_motion)
-
-
-def _list_rows(subdomains: Sequence[Subdomain]) -> list[NDArray[np.int64]]:
-    """Numbers of the interface rows that subdomains take part in."""
-    rows = []
-    for subdomain in subdomains:
-        rows += [rows_of(subdomain.jumps), rows_of(subdomain.reactions)]
-        if subdomain.motion is not None:
-            rows.append(subdomain.motion.rows)
-    return rows

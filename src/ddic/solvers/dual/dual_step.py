@@ -13,11 +13,10 @@ from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.solvers.dual.build_preconditioner import Preconditioner, build_preconditioner
-from ddic.solvers.dual.dual_problem import build_dual_problem
-from ddic.solvers.dual.interface_solver import InterfaceSettings, InterfaceSolver
+from ddic.solvers.dual.dual_problem import DualProblem
+from ddic.solvers.dual.interface_solver import InterfaceSolver
 from ddic.solvers.dual.local_dual import LocalDual
-from ddic.solvers.dual.preconditioner import LocalInverseKind
+from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, build_preconditioner
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
@@ -76,13 +75,13 @@ class DualStep:
     def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
                  scale: float, settings: DualSettings, clock: PhaseClock | None = None) -> None:
         with PetscStack() as stack:
-            self._problem = stack.keep(build_dual_problem(team, systems, operators, scale))
-            built = build_preconditioner(stack, self._problem, settings.preconditioner, settings.local_inverse, clock)
-            self._has_preconditioner = built.context is not None
-            interface = InterfaceSettings(settings.tolerance, settings.max_iterations,
-                                          settings.recycle and self._has_preconditioner)
-            self._interface = stack.keep(
-                InterfaceSolver(self._problem.operator, built.context, built.coarse, interface))
+            self._problem = stack.keep(DualProblem(team, systems, operators, scale))
+            preconditioner, coarse = build_preconditioner(stack, self._problem, settings.preconditioner,
+                                                          settings.local_inverse, clock)
+            self._has_preconditioner = preconditioner is not None
+            self._interface = stack.keep(InterfaceSolver(
+                self._problem.operator, preconditioner, coarse, settings.tolerance, settings.max_iterations,
+                recycle=settings.recycle and self._has_preconditioner))
             self._right = stack.keep(self._problem.exchange.create_vector())
             self._objects = stack.pop_all()
 

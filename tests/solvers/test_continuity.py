@@ -11,7 +11,7 @@ from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
-from ddic.solvers.dual.continuity import average_copies
+from ddic.solvers.exchange import average_copies
 from support.linear import StepProblem, linear_step, split
 
 RANKS = [1, 2, 3, 4]
