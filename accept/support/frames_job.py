@@ -65,11 +65,10 @@ def find_losing(inputs: Inputs, frame: Frame, session: Session, measurement: Mea
         Their numbers.
     """
     losing = []
-    views = open_frame_views(inputs.case, frame, session.problem.reference.references)
-    for of_subdomain, q in zip(views, measurement.q, strict=True):
-        (view,) = of_subdomain.views
-        if view.without_hidden(q).n_pixels < view.view.n_pixels:
-            losing.append(of_subdomain.subdomain.index)
+    views = open_frame_views(inputs.case, frame, session.problem.reference.views)
+    for subdomain, (view,), q in zip(session.problem.reference.subdomains, views, measurement.q, strict=True):
+        if view.without_hidden(q).n_pixels < view.n_pixels:
+            losing.append(subdomain.index)
     return losing
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,6 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.reference_problem import prepare_reference
 from ddic.problem.region_mesh import RegionMesh, build_region_mesh
-from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import open_frame_views
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.synth.truth import load_near_far_truth
 
@@ -60,9 +59,9 @@ def solve_dual(team: Team, whole: RegionMesh, frame: Frame, at: State) -> tuple[
     reference, _ = prepare_reference(team, inputs, whole if team.is_root else None, clock, lambda: None)
     problem = WeightedProblem(team, reference, clock)
     try:
-        views = problem.weigh(open_frame_views(inputs.case, frame, reference.references))
+        model = replace(problem.build_residual_model(problem.open_frame(frame)), correction="none")
         q = Field(team, reference.subdomains, [_unknowns(s, at) for s in reference.subdomains])
-        b, _ = ResidualModel(team, views, "none", len(inputs.cameras)).linearize(q)
+        b, _ = model.linearize(q)
         solver = problem.solver
         result = solver.step.solve(q, b)
         record = {"eta": solver.assembly.eta, "iterations": result.krylov_iterations,

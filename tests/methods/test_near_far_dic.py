@@ -188,7 +188,7 @@ def test_noise_is_estimated_or_given(shared_path: Path) -> None:
     assert given.noise == sigma
     assert "near field 1: noise of 1.50 grey levels (given)" in ears.notes
     # Squared grey levels are counted in units of each camera's noise, the far field's for both.
-    weights = {(v.camera, v.view.weight) for of_subdomain in given.model.views for v in of_subdomain.views}
+    weights = {(v.camera, v.weight) for v in given.model.views.flat}
     assert weights <= {(0, 1.0), (1, (sigma[0] / sigma[1]) ** 2)}
 
 

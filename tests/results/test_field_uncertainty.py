@@ -13,6 +13,7 @@ from ddic.functionals.correlation import read_correlation
 from ddic.functionals.view import View
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_infinitesimal, compute_strain
+from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations
@@ -50,12 +51,13 @@ def _exact(wavelength: float | None) -> tuple[Array, Array, Array]:
 
 
 def _prepare_forces(team: Team, problem: StepProblem, parts: Decomposed, n_samples: int) -> NoiseForces:
-    views = []
+    views, cells = [], []
     for subdomain, places in zip(parts.subdomains, place_cells(team, parts.subdomains), strict=True):
         view = View(read_correlation(subdomain.mesh, problem.image, 3), subdomain.kinematics)
         covariances = SIGMA**2 * view.correlation.compute_cell_hessians()
-        views.append([(view, prepare_samples(covariances, subdomain.cell_ids, places, 0, n_samples))])
-    return NoiseForces(views, n_samples, 1.0)
+        views.append([view])
+        cells.append([prepare_samples(covariances, subdomain.cell_ids, places, 0, n_samples)])
+    return NoiseForces(ByView(views), ByView(cells), n_samples, 1.0)
 
 
 def _estimate(team: Team, wavelength: float | None, kind: str, n: int) -> tuple[Decomposed, list[FieldDeviations]]:

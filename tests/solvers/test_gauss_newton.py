@@ -42,7 +42,7 @@ STILL = Translation((0.0, 0.0))
 
 
 def own_view(pair_model: ResidualModel) -> View:
-    return pair_model.views[0].reference.own
+    return pair_model.views[0][0]
 
 
 def model(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh = MESH, degree: int = 3) -> ResidualModel:
@@ -166,8 +166,8 @@ def test_the_window_grows_with_the_displacement() -> None:
     pair = pair_of(field, side=256)
     mesh = square_mesh(64.0, 160.0)
     pair_model = model(source(pair.reference), source(pair.deformed), mesh)
-    frame_view = pair_model.views[0].views[0]
-    frame_view.deformed.get_spline(frame_view.view.correlation.raster.window)  # the window of a start at zero
+    frame_view = pair_model.views[0][0]
+    frame_view.deformed.get_spline(frame_view.correlation.raster.window)  # the window of a start at zero
     near = np.tile([-29.5, 30.5], mesh.n_nodes)
     solution = measure_alone(pair_model, q=near)
     assert rms_error(solution.q[0], mesh.nodes, field) <= 2e-3

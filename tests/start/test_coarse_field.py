@@ -19,7 +19,7 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, prepare_reference
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.coarse_field import CoarseSearch, fit_coarse_fields, prepare_search
+from ddic.start.coarse_field import CoarseSearch, fit_found_fields, prepare_search
 from ddic.start.multilevel import Stages, find_multilevel_start
 from support.cases import WAVES, write_case, write_images
 from support.pictures import rms_error, source, square_mesh
@@ -63,10 +63,10 @@ def test_a_start_from_zero_reads_no_image(shared_path: Path) -> None:
     blind = replace(search, cameras=tuple(replace(camera, reference=unread) for camera in search.cameras))
     found = blind.share(team.together(blind.prepare((unread,))))
     assert found is not None
-    start = fit_coarse_fields(inputs.cameras, problem.references, found)
-    for subdomain, q in zip(problem.subdomains, start.q, strict=True):
+    start, notes = fit_found_fields(search, problem, found)
+    for subdomain, q in zip(problem.subdomains, start, strict=True):
         np.testing.assert_array_equal(q, np.zeros(subdomain.n_field))
-    assert start.notes == ()
+    assert notes == ()
 
 
 @pytest.mark.parallel(RANKS)
@@ -84,12 +84,12 @@ def test_subdomains_start_from_the_coarse_field_of_the_whole(shared_path: Path) 
     search, problem = _prepare(team, inputs)
     found = search.share(team.together(search.prepare(frame)))
     assert found is not None
-    start = fit_coarse_fields(inputs.cameras, problem.references, found)
-    for subdomain, q in zip(problem.subdomains, start.q, strict=True):
+    start, notes = fit_found_fields(search, problem, found)
+    for subdomain, q in zip(problem.subdomains, start, strict=True):
         np.testing.assert_array_equal(q.reshape(-1, 2), found[0].field.at(subdomain.mesh.nodes))
         # The pyramid's cells of 16 blocks follow these waves to a tenth of a pixel or so.
         assert rms_error(q, subdomain.mesh.nodes, WAVES) <= 0.2
-    assert [word in note for word, note in zip(("rigid shift", "pyramid"), start.notes, strict=True)] == [True, True]
+    assert [word in note for word, note in zip(("rigid shift", "pyramid"), notes, strict=True)] == [True, True]
 
 
 def test_zero_is_what_switching_everything_off_comes_to() -> None:

@@ -13,7 +13,7 @@ from ddic.problem.residual_model import ResidualModel
 
 def field_of(model: ResidualModel, parts: Sequence[NDArray]) -> Field:
     """The field of a model's subdomains."""
-    return Field(model.team, [of_subdomain.subdomain for of_subdomain in model.views], parts)
+    return Field(model.team, model.subdomains, parts)
 
 
 def plain_field(*parts: NDArray, team: Team | None = None) -> Field:

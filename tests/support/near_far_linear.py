@@ -27,6 +27,7 @@ from ddic.case.schema import (
 from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
 from ddic.inputs.cameras import Camera
+from ddic.inputs.inputs import Inputs
 from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
@@ -37,10 +38,11 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import add_motions, keep_cameras_apart, split_by_blocks, split_by_camera, split_by_metis
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import assemble, assemble_hessians
+from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
 from ddic.problem.region_mesh import Region
-from ddic.problem.views import read_reference_views
+from ddic.problem.views import read_reference_views, weigh_cameras
 from ddic.solvers.linear_step import LinearStep, StepResult
 from support.linear import StepProblem, linear_step
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
@@ -128,11 +130,14 @@ class NearFarCut:
         self.team, self.problem, self.case = team, problem, problem.case(**solver)
         self.numbers = list(split_evenly(np.ones(len(problem.subdomains)), team.size)[team.rank])
         own = [problem.subdomains[k] for k in self.numbers]
-        self.views = [views.weigh(WEIGHTS) for views in read_reference_views(self.case, problem.cameras, own)]
+        views = read_reference_views(self.case, problem.cameras, own)
+        self.views = weigh_cameras(views, WEIGHTS)
         mesh = problem.base.mesh
         region = Region(mesh.n_nodes, mesh.n_cells, problem.base.region.n_unknowns, len(problem.subdomains), None,
                         mesh.mapping)
-        self.assembly = assemble(team, self.case, region, self.views, assemble_hessians(team, self.views))
+        inputs = Inputs(self.case, problem.cameras, lambda: (mesh, None))
+        reference = ReferenceProblem(inputs, region, own, views, assemble_hessians(team, views), 0, ())
+        self.assembly = assemble(team, reference, WEIGHTS)
 
     @contextmanager
     def step(self) -> Iterator[LinearStep]:
@@ -146,9 +151,9 @@ class NearFarCut:
         b = []
         for k, of_subdomain in zip(self.numbers, self.views, strict=True):
             parts = [view.weight * view.kinematics.project_vector(force)
-                     for view, force in zip(of_subdomain.views, self.problem.forces[k], strict=True)]
+                     for view, force in zip(of_subdomain, self.problem.forces[k], strict=True)]
             b.append(np.sum(parts, axis=0))
-        q = Field(self.team, [of_subdomain.subdomain for of_subdomain in self.views],
+        q = Field(self.team, [self.problem.subdomains[k] for k in self.numbers],
                   [self.problem.q[k] for k in self.numbers])
         return step.solve(q, q.with_parts(b))
 

@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.view import FrameView, View
+from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import ByView
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton
 from ddic.solvers.local_operator import LocalOperator
@@ -29,15 +29,14 @@ def model_of(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh, correc
     controlled = np.zeros(mesh.n_dofs, dtype=bool)
     subdomain = build_subdomains(NodalRegion(mesh), np.zeros(mesh.n_cells, np.int64), controlled)[0]
     view = View(read_correlation(mesh, reference, degree), subdomain.kinematics)
-    frame_view = FrameView(view, DeformedSubImage(deformed, degree))
-    return ResidualModel(Team.alone(), [FrameViews(ReferenceViews(subdomain, (view,)), (frame_view,))], correction)
+    frame_view = view.open_frame(DeformedSubImage(deformed, degree))
+    return ResidualModel(Team.alone(), [subdomain], ByView([[frame_view]]), correction)
 
 
 def system_of(model: ResidualModel) -> LocalSystem:
     """M without regularization."""
-    reference = model.views[0].reference
-    hessian = reference.project([reference.own.assemble_hessian()])
-    return LocalSystem(reference.subdomain, hessian, None, np.zeros(0), 0.0)
+    (view,) = model.views[0]
+    return LocalSystem(model.subdomains[0], view.project(view.assemble_hessian()), None, np.zeros(0), 0.0)
 
 
 def measure_alone(model: ResidualModel, *, q: NDArray[np.float64] | None = None,

@@ -37,10 +37,11 @@ from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tie_meshes
-from ddic.problem.assembly import assemble, assemble_hessians
+from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
 from ddic.problem.region_mesh import build_region_mesh, split_region
-from ddic.problem.views import read_reference_views
+from ddic.problem.views import read_reference_views, weigh_cameras
 from ddic.solvers.linear_step import LinearStep, StepResult
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
 
@@ -117,10 +118,11 @@ class TiedCut:
         self.copies = np.zeros(problem.mesh.n_nodes)
         for subdomain in everything:
             self.copies[subdomain.node_ids] += 1
-        references = read_reference_views(self.case, problem.cameras, self.subdomains)
-        self.views = [views.weigh(WEIGHTS) for views in references]
-        self.assembly = assemble(team, self.case, whole.describe(len(everything)), self.views,
-                                 assemble_hessians(team, self.views))
+        views = read_reference_views(self.case, problem.cameras, self.subdomains)
+        self.views = weigh_cameras(views, WEIGHTS)
+        reference = ReferenceProblem(inputs, whole.describe(len(everything)), self.subdomains, views,
+                                     assemble_hessians(team, views), 0, ())
+        self.assembly = assemble(team, reference, WEIGHTS)
 
     @contextmanager
     def step(self) -> Iterator[LinearStep]:
@@ -132,10 +134,10 @@ class TiedCut:
     def solve(self, step: LinearStep) -> StepResult:
         """Solve with the problem's q and forces, those of a shared mesh node spread over its copies."""
         q, b = [], []
-        for s, views in zip(self.subdomains, self.views, strict=True):
+        for s, (own, *_) in zip(self.subdomains, self.views, strict=True):
             q.append(self.problem.q[s.numbers])
             nodal = self.problem.forces[s.camera].reshape(-1, 2) / np.maximum(self.copies, 1)[:, None]
-            b.append(views.own.weight * views.own.kinematics.project_vector(nodal[s.node_ids].ravel()))
+            b.append(own.weight * own.kinematics.project_vector(nodal[s.node_ids].ravel()))
         start = Field(self.team, self.subdomains, q)
         return step.solve(start, start.with_parts(b))
 

@@ -282,6 +282,11 @@ class Correlation:
         """Confine passes over the pixels to some cells, (n_cells,)."""
         return replace(self, order=self.order[cells[self.order]])
 
+    def count_pixels(self) -> NDArray[np.int64]:
+        """Count the pixels of each cell that the reference image does not exclude, (n_cells,)."""
+        window, usable = self.reference.window, self.reference.usable
+        return self.raster.pixel_counts if usable is None else self.raster.sum_by_cell(usable, window.x0, window.y0)
+
     @property
     def n_usable_pixels(self) -> int:
         """Number of pixels that the reference image does not exclude."""

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import RegularizationSection, SolverSection
+from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import InputError
-from ddic.functionals.regularization import Material, measure_gap_energies
+from ddic.functionals.regularization import PHASES, Material, measure_gap_energies
 from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_cells
 from ddic.inputs.inputs import Inputs
 from ddic.io.text_files import read_partition
@@ -54,6 +54,11 @@ class ProbeWaves:
 
     wavelength: float
     gap_energies: NDArray[np.float64]
+
+    @property
+    def is_weighable(self) -> bool:
+        """Whether every wave loads an inner node, in one of its phases at least."""
+        return bool(self.gap_energies.reshape(-1, len(PHASES)).any(axis=1).all())
 
 
 @dataclass(frozen=True)
@@ -245,6 +250,17 @@ def scatter_region(team: Team, region_mesh: RegionMesh | None,
 def build_material(section: RegularizationSection) -> Material:
     """Give the elastic constants of the regularization, with E = 1."""
     return Material(section.poisson_ratio, section.plane)
+
+
+def compute_cut_off_wavelength(case: Case) -> float:
+    """Find the wavelength below which mechanics hold the displacement, pixels.
+
+    It is 0 without regularization, infinite where eta is given.
+    """
+    section = case.regularization
+    if section is None:
+        return 0.0
+    return np.inf if section.cut_off_wavelength is None else section.cut_off_wavelength
 
 
 def _choose_kinematics(inputs: Inputs, mesh: Mesh, tying: Tying | None) -> RegionKinematics:

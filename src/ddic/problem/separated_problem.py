@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddic.case.schema import Case, PgdSection, RegularizationSection
+from ddic.case.schema import RegularizationSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
@@ -82,8 +82,10 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
     with clock.phase(Phase.ASSEMBLE):
         regularization = build_regularization(case.regularization, reference, rectangle)
         size = measure_separated_size(team, inputs, reference, regularization)
-    return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, choose_scheme(case),
-                            choose_rules(case))
+    section = require_held(case.pgd)
+    scheme = Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
+    rules = StoppingRules(section.tolerance, section.rms_tolerance, section.max_corrections, section.stop_at_noise)
+    return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, scheme, rules)
 
 
 def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int, list[range]]:
@@ -157,21 +159,3 @@ def measure_separated_size(team: Team, inputs: Inputs, reference: ReferencePixel
     eta = 0.0 if regularization is None else regularization.weight
     return ProblemSize(2 * n_x * n_y, (n_x - 1) * (n_y - 1), int(team.sum(count_usable(reference.bands))), 1,
                        team.size, 0, dynamic_range, eta, describe_cut_off(inputs.case.regularization))
-
-
-def choose_scheme(case: Case) -> Scheme:
-    """Say how corrections are found, as a case with [pgd] asks for."""
-    section = _get_section(case)
-    return Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
-
-
-def choose_rules(case: Case) -> StoppingRules:
-    """Say when corrections end, as a case with [pgd] asks for."""
-    section = _get_section(case)
-    return StoppingRules(section.tolerance, section.rms_tolerance, section.max_corrections, section.stop_at_noise)
-
-
-def _get_section(case: Case) -> PgdSection:
-    if case.pgd is None:
-        raise TypeError("a case without [pgd] is no PGD-DIC")
-    return case.pgd

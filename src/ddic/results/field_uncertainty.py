@@ -19,12 +19,13 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.fields import recover_nodal_gradients
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.probing import estimate_response
-from ddic.visibility.force_noise import ForceNoise, measure_force_noise
 from ddic.visibility.noise_forces import (
     OF_RESIDUAL,
+    ForceNoise,
     ImageNoise,
     NoiseForces,
     find_image_noise,
+    measure_force_noise,
     prepare_noise_forces,
     prepare_residual_forces,
 )

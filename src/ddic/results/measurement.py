@@ -29,8 +29,7 @@ from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.linear_solver import compute_cut_off_wavelength
-from ddic.problem.region_mesh import Region
+from ddic.problem.region_mesh import Region, compute_cut_off_wavelength
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.fields import write_pieces
@@ -146,8 +145,7 @@ class Measurement:
     @cached_property
     def subdomains(self) -> list[Subdomain]:
         """Owned subdomains, in the first reference image."""
-        subdomains = [of_subdomain.subdomain for of_subdomain in self.model.views]
-        updated = self.inputs.updated
+        subdomains, updated = list(self.model.subdomains), self.inputs.updated
         return subdomains if updated is None else [updated.place_first(subdomain) for subdomain in subdomains]
 
     @property
@@ -246,7 +244,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     if inputs.case.output.uncertainty and not failure:
         uncertainty, of_uncertainty = _estimate_uncertainty(problem, model, evaluation, field.q, unmeasured)
     notes = (*notes, *solved.notes, *_describe_correction(inputs.case, model),
-             *describe_exclusions(team, model.views, excluded), *describe_doubtful_cells(team, cell_errors),
+             *describe_exclusions(team, subdomains, excluded), *describe_doubtful_cells(team, cell_errors),
              *of_uncertainty)
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
@@ -290,23 +288,22 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel,
     team = problem.team
     owned = list(zip(model.views, evaluation.residuals, _take_hessians(problem, model), strict=True))
     errors = find_cell_errors(team, team.together(lambda: [
-        measure_cell_residuals(of_subdomain.views[0].view, hessian, of_views[0])
-        for of_subdomain, of_views, hessian in owned]))
+        measure_cell_residuals(view, hessian, residual) for (view, *_), (residual, *_), hessian in owned]))
     lost = ""
     if model.blurs or problem.reference.inputs.case.regularization is None:
         # Where little contrast is left, the residual of a wrong place may be as small as that of the right one.
         noise = evaluation.grey[0].residual_std ** 2
         deviations = estimate_node_deviations(model, problem.solver.assembly.systems, noise, by_pixels_alone=True)
-        are_noisy = [find_noisy_cells(of_subdomain.subdomain.mesh, of_nodes)
-                     for of_subdomain, of_nodes in zip(model.views, deviations, strict=True)]
+        are_noisy = [find_noisy_cells(subdomain.mesh, of_nodes)
+                     for subdomain, of_nodes in zip(model.subdomains, deviations, strict=True)]
         errors = [replace(of_cells, doubtful=of_cells.doubtful | is_noisy)
                   for of_cells, is_noisy in zip(errors, are_noisy, strict=True)]
         if model.blurs:
             are_shown = [of_views[0].cell_sums.n_pixels > 0 for of_views in evaluation.residuals]
             lost = describe_lost_field(team, are_noisy, are_shown)
     # What is left of a cell that is mostly hidden says little of it, whatever its residual.
-    are_hidden = [of_views[0].cell_sums.n_pixels < LEAST_USED * of_subdomain.reference.own.count_pixels()
-                  for of_subdomain, of_views in zip(model.views, evaluation.residuals, strict=True)]
+    are_hidden = [residual.cell_sums.n_pixels < LEAST_USED * view.prepared.count_pixels()
+                  for (view, *_), (residual, *_) in zip(model.views, evaluation.residuals, strict=True)]
     return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
             for of_cells, is_hidden in zip(errors, are_hidden, strict=True)], lost
 
@@ -330,9 +327,8 @@ def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> l
 def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[sparse.csr_matrix]:
     """M of each owned subdomain's own camera, of the reference image as it was compared."""
     if model.blurs:
-        return problem.team.together(lambda: [of_subdomain.views[0].view.assemble_hessian()
-                                              for of_subdomain in model.views])
-    return [hessians[0] for hessians in problem.reference.hessians]
+        return problem.team.together(lambda: [own.assemble_hessian() for own, *_ in model.views])
+    return [own for own, *_ in problem.reference.hessians]
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],

@@ -215,22 +215,22 @@ class MatchedField:
 
 
 @dataclass(frozen=True, eq=False)
-class PairField:
-    """A displacement at the nodes of a mesh.
+class ExtendedField:
+    """A displacement at the nodes of a mesh, of which it was known somewhere.
 
     Attributes
     ----------
     displacement : (n_nodes, 2) array
         Pixels.
     n_pieces_without : int
-        Pieces of the mesh in which no point lies: they move with the affine map of the nearest point's piece.
+        Pieces of the mesh in which it was known nowhere: they move with the affine map of what is nearest.
     """
 
     displacement: Array
     n_pieces_without: int
 
 
-def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairField:
+def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> ExtendedField:
     """Interpolate displacements, (n, 2), at points, (n, 2), pixels, to a mesh, each piece of it for itself.
 
     One point says a translation, two a rotation with a scale, three an affine map; what this leaves of more points is
@@ -249,7 +249,7 @@ def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairFie
         of_piece = fit_affine_map(points[own], displacement[own])
         values[nodes] = of_piece.at(mesh.nodes[nodes])
         values[nodes] += _interpolate_rest(points[own], displacement[own], of_piece, mesh.nodes[nodes])
-    return PairField(values, int(piece_of_node.max()) + 1 - len(held))
+    return ExtendedField(values, int(piece_of_node.max()) + 1 - len(held))
 
 
 def _interpolate_rest(points: Array, displacement: Array, of_all: AffineMap, places: Array) -> Array:

@@ -6,7 +6,6 @@ do not become smaller, but are far below the noise of the field.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,11 +89,10 @@ class SolvedFrame:
     is_evaluated: bool = True
 
 
-def begin_frame(seen: SeenFrame, used: ResidualModel, q: Sequence[Array], notes: tuple[str, ...]) -> SolvedFrame:
+def begin_frame(seen: SeenFrame, used: ResidualModel, q: Field, notes: tuple[str, ...]) -> SolvedFrame:
     """Take a start for a field."""
     # Copies of an unknown may still differ: they are averaged after the first iterations, before anybody looks at them.
-    start = Field(used.team, [of_subdomain.subdomain for of_subdomain in used.views], q)
-    return SolvedFrame(ContinuousField(start, 0.0), Solution(start, []), seen, used, notes, is_evaluated=False)
+    return SolvedFrame(ContinuousField(q, 0.0), Solution(q, []), seen, used, notes, is_evaluated=False)
 
 
 def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress, *,
@@ -260,7 +258,7 @@ class Looks:
         self.number, self.is_rough, self._is_regularized = 0, True, is_regularized
         self._was_found, self._fewest = False, np.inf
 
-    def choose(self, seen: SeenFrame, now: SeenFrame, q: Sequence[Array], *,
+    def choose(self, seen: SeenFrame, now: SeenFrame, q: Field, *,
                is_paused: bool) -> tuple[SeenFrame, bool]:
         """Choose what to go on with at some unknowns, and tell whether it is other than before; collective."""
         team = now.whole.team

@@ -8,10 +8,11 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
-from ddic.visibility.force_noise import ForceNoise, measure_force_noise
+from ddic.visibility.noise_forces import ForceNoise, measure_force_noise
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model
 
@@ -32,7 +33,7 @@ def build(team: Team, of_f: Array, of_g: Array, blocks: tuple[int, int] = (1, 1)
 
 def measure(model: ResidualModel, n_determined: float = 0.0) -> ForceNoise:
     """At rest, where the field has been given nothing of the residual unless it is said."""
-    q = [np.zeros(2 * len(of_subdomain.subdomain.node_ids)) for of_subdomain in model.views]
+    q = Field.zero(model.team, model.subdomains)
     return measure_force_noise(model, model.evaluate(q), q, n_determined, is_regularized=False)
 
 
@@ -72,7 +73,7 @@ def test_noise_that_goes_together_acts_as_its_sums_against_slopes_do() -> None:
     for seed in range(8):
         smooth = 8.0 * gaussian_filter(draw(seed), 1.0)
         model = build(Team.alone(), np.zeros((192, 192)), smooth)
-        reference = model.views[0].views[0].view.correlation.reference
+        reference = model.views[0][0].correlation.reference
         found.append(measure(model).excess)
         expected.append(np.mean([(correlate(smooth) * correlate(slopes) * np.outer(along, along)).sum()
                                  for slopes in (reference.by_x, reference.by_y)]))
@@ -96,7 +97,7 @@ def test_what_noise_gives_to_slopes_is_no_texture() -> None:
     texture = pair_of(Translation((0.0, 0.0))).reference
     clean = split_model(Team.alone(), source(texture), source(texture), MESH, (1, 1))
     noisy = build(Team.alone(), draw(0, 12.0), draw(1, 12.0))
-    slopes = [np.mean(model.views[0].views[0].view.measure_slopes().texture) for model in (clean, noisy)]
+    slopes = [np.mean(model.views[0][0].measure_slopes().texture) for model in (clean, noisy)]
     found = measure(noisy)
     # Guards the test: two fifths of M are noise.
     assert slopes[0] / slopes[1] < 0.8
