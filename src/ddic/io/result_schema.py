@@ -50,6 +50,7 @@ STRAIN_GREEN_LAGRANGE = "strain_green_lagrange"
 NODAL_INFINITESIMAL = "nodal_strain_infinitesimal"
 NODAL_GREEN_LAGRANGE = "nodal_strain_green_lagrange"
 NODAL_HENCKY = "nodal_strain_hencky"
+NODAL_STRAINS = {"infinitesimal": NODAL_INFINITESIMAL, "green-lagrange": NODAL_GREEN_LAGRANGE, "hencky": NODAL_HENCKY}
 NODAL_PRINCIPAL_1 = "nodal_principal_strain_1"
 NODAL_PRINCIPAL_2 = "nodal_principal_strain_2"
 NODAL_VON_MISES = "nodal_von_mises_strain"
@@ -69,7 +70,8 @@ it off."""
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"
-TENSOR_COMPONENTS = ("XX", "YY", "ZZ", "XY", "YZ", "XZ")
+IN_THE_PLANE = {"xx": 0, "yy": 1, "xy": 3}
+"""Places of the components in the plane among the file's XX, YY, ZZ, XY, YZ, XZ."""
 
 
 @dataclass(frozen=True)
@@ -261,6 +263,11 @@ def sidecar_path(path: Path, camera: int = 0) -> Path:
 def physical_path(result: Path) -> Path:
     """Name the file that shows a result in its length unit, beside it: NAME.physical.vtkhdf."""
     return result.with_name(f"{result.stem}.physical.vtkhdf")
+
+
+def pick_in_the_plane(tensors: NDArray[Any]) -> NDArray[Any]:
+    """Pick xx, yy, xy, (n, 3), of symmetric tensors as the file has them, (n, 6)."""
+    return tensors[:, list(IN_THE_PLANE.values())]
 
 
 def flip_components(values: NDArray[Any]) -> NDArray[Any]:

@@ -45,32 +45,44 @@ def draw_krylov(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
     Each label has a line style; its Gauss-Newton iterations run through the colours. The label is empty for one result
     alone.
     """
-    figure = Figure(figsize=(7.0, 4.5), layout="tight")
-    axes = figure.add_subplot()
+    figure, axes = _make_wide_figure()
     for (style, marker), (label, histories) in zip(cycle(STYLES), curves.items(), strict=False):
         shades = colormaps[COLOURS](np.linspace(0.0, LIGHTEST, len(histories)))
         for number, (history, shade) in enumerate(zip(histories, shades, strict=True), start=1):
             if len(history) == 0:
                 continue
-            # A history that ends at an exact zero has no logarithm: its last point is not drawn.
-            shown = np.where(np.asarray(history) > 0, history, np.nan)
             name = f"Gauss-Newton {number}"
-            axes.semilogy(np.arange(len(shown)), shown, style, color=shade, linewidth=1.4, marker=marker, markersize=4,
+            # A history that ends at an exact zero has no logarithm: its last point is not drawn.
+            axes.semilogy(np.arange(len(history)), _positive(np.asarray(history)), style, color=shade,
+                          linewidth=1.4, marker=marker, markersize=4,
                           label=f"{_shorten(label)}, {name}" if label else name)
-    axes.set_xlabel("Krylov iteration [-]")
-    axes.set_ylabel("relative residual [-]")
-    axes.set_title("Convergence of the interface problem")
+    axes.set(xlabel="Krylov iteration [-]", ylabel="relative residual [-]",
+             title="Convergence of the interface problem")
     axes.grid(which="both", alpha=0.25)
     # Where no iteration was needed the axis would be one of fractions.
     longest = max((len(history) for histories in curves.values() for history in histories), default=1)
     margin = 0.02 * max(longest - 1, 1) + 0.05
     axes.set_xlim(-margin, max(longest - 1, 1) + margin)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.xaxis.set_major_locator(_whole_numbers())
     drawn, names = axes.get_legend_handles_labels()
     if drawn:
         every = -(-len(drawn) // MOST_NAMED)
         axes.legend(drawn[::every], names[::every], fontsize="x-small", ncols=1 if len(drawn) <= 4 else 2)
     return figure
+
+
+def _make_wide_figure() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(7.0, 4.5), layout="tight")
+    return figure, figure.add_subplot()
+
+
+def _whole_numbers() -> MaxNLocator:
+    return MaxNLocator(integer=True, min_n_ticks=1)
+
+
+def _positive(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Values that have a logarithm, nan for others."""
+    return np.where(values > 0, values, np.nan).astype(np.float64)
 
 
 def _shorten(label: str) -> str:
@@ -90,8 +102,7 @@ def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = floa
     for column, colour, label in (("rms_correction_px", "tab:blue", "RMS"),
                                   ("largest_correction_px", "tab:orange", "largest")):
         if column in table:
-            values = np.where(table[column] > 0, table[column], np.nan)
-            sizes.semilogy(number, values, marker="o", markersize=4, color=colour, label=label)
+            sizes.semilogy(number, _positive(table[column]), marker="o", markersize=4, color=colour, label=label)
     if np.isfinite(noise_floor) and noise_floor > 0:
         sizes.axhline(noise_floor, linestyle="--", color="tab:grey", label="noise floor")
     sizes.set_ylabel("correction [px]")
@@ -101,10 +112,15 @@ def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = floa
     residual.set_ylim(0.0, 1.15 * float(np.nanmax(table["residual_std_grey"])) or 1.0)
     residual.set_xlabel("iteration [-]")
     for axes in (sizes, residual):
-        axes.set_xlim(number.min() - 0.5, number.max() + 0.5)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        axes.grid(which="both", alpha=0.25)
+        _count_along_x(axes, number)
     return figure
+
+
+def _count_along_x(axes: Axes, number: NDArray[Any]) -> None:
+    """Whole numbers below, with room at both ends: one alone would have an axis of fractions."""
+    axes.set_xlim(number.min() - 0.5, number.max() + 0.5)
+    axes.xaxis.set_major_locator(_whole_numbers())
+    axes.grid(which="both", alpha=0.25)
 
 
 def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
@@ -126,18 +142,10 @@ def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
     residual.set_ylim(bottom=0.0)
     for axes in (sizes, gains, residual):
         axes.set_xlabel("correction [-]")
-        # One correction alone would have an axis of fractions.
-        axes.set_xlim(number.min() - 0.5, number.max() + 0.5)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        axes.grid(which="both", alpha=0.25)
+        _count_along_x(axes, number)
     for axes in (sizes, gains):
         axes.legend(fontsize="x-small")
     return figure
-
-
-def _positive(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Values that have a logarithm, nan for others."""
-    return np.where(values > 0, values, np.nan).astype(np.float64)
 
 
 MOST = 5
@@ -156,8 +164,7 @@ def draw_modes(field: SeparatedField) -> Figure:
             for k, shade in enumerate(shades):
                 axes.plot(line.nodes, functions[k, c], color=shade, linewidth=1.2,
                           label=f"mode {k + 1}, {field.amplitudes[k, c]:.2g} px")
-            axes.set_xlabel(f"{name} [px]")
-            axes.set_ylabel(f"function of {name}, u_{component} [-]")
+            axes.set(xlabel=f"{name} [px]", ylabel=f"function of {name}, u_{component} [-]")
             axes.grid(alpha=0.25)
             if not row and n:
                 axes.legend(fontsize="x-small", title="RMS displacement", title_fontsize="x-small")
@@ -167,23 +174,18 @@ def draw_modes(field: SeparatedField) -> Figure:
 
 Array = NDArray[np.float64]
 
-OPENING_STYLES = ("-", "--", "-.", ":")
-
-
 def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthUnit = PIXELS) -> Figure:
     """Draw slip and opening against the place along the line.
 
     ``curves`` hold, by the label of a line, distance along it, tangential and normal opening, (n,) each, in the unit.
     """
-    figure = Figure(figsize=(7.0, 4.5), layout="tight")
-    axes = figure.add_subplot()
-    for style, (label, (distance, tangential, normal)) in zip(cycle(OPENING_STYLES), curves.items(), strict=False):
+    figure, axes = _make_wide_figure()
+    for (style, _), (label, (distance, tangential, normal)) in zip(cycle(STYLES), curves.items(), strict=False):
         prefix = "" if len(curves) == 1 else f"{label}, "
         axes.plot(distance, normal, style, color="tab:blue", linewidth=1.4, label=f"{prefix}normal")
         axes.plot(distance, tangential, style, color="tab:orange", linewidth=1.4, label=f"{prefix}tangential")
-    axes.set_xlabel(f"distance along the line [{unit.name}]")
-    axes.set_ylabel(f"opening [{unit.name}]")
-    axes.set_title("Opening of discontinuities")
+    axes.set(xlabel=f"distance along the line [{unit.name}]", ylabel=f"opening [{unit.name}]",
+             title="Opening of discontinuities")
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
     return figure
@@ -203,9 +205,7 @@ def draw_uncertainty(sizes: NDArray[np.float64], deviations: Mapping[Any, NDArra
             axes.loglog(sizes, values, f"{marker}-", linewidth=1.4, label=f"{basis} elements")
         axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
         axes.set_xticks([], minor=True)
-        axes.set_xlabel("element size [px]")
-        axes.set_ylabel("largest standard deviation [px]")
-        axes.set_title(f"{kind} displacements")
+        axes.set(xlabel="element size [px]", ylabel="largest standard deviation [px]", title=f"{kind} displacements")
         axes.grid(which="both", alpha=0.25)
         axes.legend(fontsize="small")
     return figure
@@ -218,7 +218,6 @@ BAND = 2.0
 """Standard deviations on either side: 95 % of normal errors."""
 
 LINE_COLOURS = ("tab:blue", "tab:orange", "tab:green")
-STRAIN_COLUMNS = {"xx": 0, "yy": 1, "xy": 3}
 
 
 def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) -> Figure:
@@ -248,14 +247,13 @@ def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) 
         title += ", of $u$ of noise and bias"
     _draw_bands(above, distance, displacement,
                 None if deviations is None else unit.size * deviations, ("$u_x$", "$u_y$"))
-    above.set_ylabel(f"displacement [{unit.name}]")
-    above.set_title(title)
+    above.set(ylabel=f"displacement [{unit.name}]", title=title)
     if has_strain:
-        strain = result.point_data[schema.NODAL_INFINITESIMAL][:, list(STRAIN_COLUMNS.values())]
+        strain = schema.pick_in_the_plane(result.point_data[schema.NODAL_INFINITESIMAL])
         below = figure.add_subplot(2, 1, 2, sharex=above)
         _draw_bands(below, distance, interpolate(result.mesh, strain, points),
                     _read_along(result, schema.SIGMA_NODAL_STRAIN, points),
-                    tuple(rf"$\epsilon_{{{name}}}$" for name in STRAIN_COLUMNS))
+                    tuple(rf"$\epsilon_{{{name}}}$" for name in schema.IN_THE_PLANE))
         below.set_ylabel("infinitesimal strain")
     figure.axes[-1].set_xlabel(f"distance along the line [{unit.name}]")
     return figure

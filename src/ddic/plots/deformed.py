@@ -14,22 +14,8 @@ from ddic.errors import InputError
 from ddic.io.result_reader import Result
 from ddic.kinematics.strain import count_folded_cells, find_largest_gradient, project_rigid_motion_out
 from ddic.mesh.mesh import Mesh
-from ddic.plots.canvas import (
-    MOST_SHARP_CELLS,
-    PIXELS,
-    Bounds,
-    Component,
-    LengthUnit,
-    Limits,
-    add_colour_bar,
-    choose_limits,
-    draw_nodal_colours,
-    find_mesh_bounds,
-    format_component,
-    make_cell_polygons,
-    make_image_figure,
-    pick_component,
-)
+from ddic.plots import canvas
+from ddic.plots.canvas import PIXELS, Bounds, Component, LengthUnit, Limits
 
 VISIBLE_SHARE = 0.05
 """Largest displacement that is drawn, relative to the mesh, where cells bear it; a larger value exaggerates more."""
@@ -64,7 +50,11 @@ def choose_amplification(result: Result) -> float:
     least 1. Raises InputError where no cell was measured.
     """
     mesh, displacement = _keep_measured(result)
-    departure = project_rigid_motion_out(mesh.nodes, displacement)
+    return _choose_factor(result, mesh, project_rigid_motion_out(mesh.nodes, displacement))
+
+
+def _choose_factor(result: Result, mesh: Mesh, departure: NDArray[np.float64]) -> float:
+    """An amplification of the displacement of the measured cells without its rigid motion."""
     largest = float(np.abs(departure).max())
     if largest == 0.0:
         return 1.0
@@ -85,7 +75,7 @@ def find_shared_view(results: Iterable[Result], amplification: float | None, uni
         mesh, displacement = _keep_measured(result)
         departure = project_rigid_motion_out(mesh.nodes, displacement)
         # What stands still looks alike by any factor.
-        factors += [choose_amplification(result)] if np.abs(departure).max() > 0.0 else []
+        factors += [_choose_factor(result, mesh, departure)] if departure.any() else []
         shown = departure if amplification is None else displacement
         boxes.append((result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)))
         moves.append((np.minimum(shown.min(axis=0), 0.0), np.maximum(shown.max(axis=0), 0.0)))
@@ -93,7 +83,7 @@ def find_shared_view(results: Iterable[Result], amplification: float | None, uni
     scale = factor if amplification is None else amplification
     # Two opposite corners that no node passes, whichever moves farthest.
     corners = np.array(boxes) + scale * (np.array(moves) if scale >= 0 else np.array(moves)[:, ::-1])
-    return SharedView(factor, find_mesh_bounds(unit.size * corners.reshape(-1, 2)))
+    return SharedView(factor, canvas.find_mesh_bounds(unit.size * corners.reshape(-1, 2)))
 
 
 def _keep_measured(result: Result) -> tuple[Mesh, NDArray[np.float64]]:
@@ -126,21 +116,24 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
     mesh, displacement = _keep_measured(result)
     rest = unit.size * result.mesh.nodes
     if amplification is None:
-        factor = choose_amplification(result) if shared is None else shared.factor
-        moved = unit.size * (mesh.nodes + factor * project_rigid_motion_out(mesh.nodes, displacement))
+        departure = project_rigid_motion_out(mesh.nodes, displacement)
+        factor = _choose_factor(result, mesh, departure) if shared is None else shared.factor
+        moved = unit.size * (mesh.nodes + factor * departure)
         title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
     else:
         moved = unit.size * (mesh.nodes + amplification * displacement)
         n_folded = count_folded_cells(mesh, moved)
         folded = f"; {n_folded} cells are folded" if n_folded else ""
         title = f"Deformed mesh, displacement amplified {amplification:g} times{folded}"
-    bounds = find_mesh_bounds(np.concatenate([rest, moved])) if shared is None else shared.bounds
-    figure, axes = make_image_figure(bounds, title, unit)
-    axes.add_collection(make_cell_polygons(result.mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3))
-    values = unit.size * pick_component(displacement, component)
-    colours = draw_nodal_colours(axes, mesh, moved, values, choose_limits(values, limits))
+    bounds = canvas.find_mesh_bounds(np.concatenate([rest, moved])) if shared is None else shared.bounds
+    figure, axes = canvas.make_image_figure(bounds, title, unit)
+    at_rest = canvas.make_cell_polygons(result.mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3)
+    axes.add_collection(at_rest)
+    values = unit.size * canvas.pick_component(displacement, component)
+    colours = canvas.draw_nodal_colours(axes, mesh, moved, values, canvas.choose_limits(values, limits))
     if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
-        axes.add_collection(make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
-                                               rasterized=mesh.n_cells > MOST_SHARP_CELLS))
-    add_colour_bar(figure, axes, colours, f"{format_component('u', component)} [{unit.name}]")
+        edges = canvas.make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
+                                          rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
+        axes.add_collection(edges)
+    canvas.add_colour_bar(figure, axes, colours, canvas.label_component("u", component, unit))
     return figure

@@ -1,7 +1,7 @@
 """A value at the nodes or on the cells in colour, over the reference image where there is one.
 
-Maps of displacement, of strain and of the difference between two measured fields (Fig. 10 of [BP17]), and an image
-thinned out to what a figure can show. Limits of colours are in the unit that is drawn.
+Maps of displacement, also around near fields (Fig. 4 of [BP17]), of strain and of the difference between two measured
+fields (Fig. 10), and an image thinned out to what a figure can show. Limits of colours are in the unit that is drawn.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import Collection
+from matplotlib.collections import Collection, LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -24,24 +24,9 @@ from ddic.io.result_reader import Result, displacement_at
 from ddic.kinematics.strain import compute_hencky, compute_von_mises_strain, find_principal_strains
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
-from ddic.plots.canvas import (
-    COLOURS,
-    MOST_SHARP_CELLS,
-    PIXELS,
-    Component,
-    LengthUnit,
-    Limits,
-    add_colour_bar,
-    choose_limits,
-    draw_nodal_colours,
-    find_mesh_bounds,
-    format_component,
-    make_cell_polygons,
-    make_image_figure,
-    make_panels,
-    pick_component,
-    set_bounds,
-)
+from ddic.mesh.topology import find_boundary_facets
+from ddic.plots import canvas
+from ddic.plots.canvas import PIXELS, Bounds, Component, LengthUnit, Limits
 
 
 def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
@@ -53,10 +38,10 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     is_known = np.isfinite(squares)
     rms = float(np.sqrt(squares[is_known].mean())) if is_known.any() else np.nan
     title = f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} {unit.name}"
-    figure, axes = make_image_figure(find_mesh_bounds(nodes), title, unit)
-    values = pick_component(difference, component)
-    colours = draw_nodal_colours(axes, mesh, nodes, values, choose_limits(values, limits))
-    add_colour_bar(figure, axes, colours, f"{format_component(chr(92) + 'Delta u', component)} [{unit.name}]")
+    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
+    values = canvas.pick_component(difference, component)
+    colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, canvas.choose_limits(values, limits))
+    canvas.add_colour_bar(figure, axes, colours, canvas.label_component(r"\Delta u", component, unit))
     return figure
 
 
@@ -99,12 +84,11 @@ class Preview:
 
         Below an ``opacity`` of 1 it is drawn over everything that is there.
         """
-        left, right, bottom, top = find_thinned_extent(self.pixels.shape, self.step)
         axes.imshow(self.pixels, cmap="gray", interpolation="nearest", rasterized=True,
                     zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity,
-                    extent=(size * left, size * right, size * bottom, size * top))
+                    extent=find_thinned_extent(self.pixels.shape, self.step, size))
 
-    def clip(self, bounds: tuple[float, float, float, float], size: float = 1.0) -> tuple[float, float, float, float]:
+    def clip(self, bounds: Bounds, size: float = 1.0) -> Bounds:
         """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
 
         The box is x0, y0, x1, y1 in the axes' unit, ``size`` a pixel's in that unit.
@@ -112,6 +96,18 @@ class Preview:
         x0, y0, x1, y1 = bounds
         return (max(x0, -0.5 * size), max(y0, -0.5 * size), min(x1, (self.width - 0.5) * size),
                 min(y1, (self.height - 0.5) * size))
+
+
+def make_figure_over(image: Preview | None, bounds: Bounds, title: str, unit: LengthUnit = PIXELS,
+                     beside: float = canvas.RIGHT_INCHES) -> tuple[Figure, Axes]:
+    """Make a figure as ``make_image_figure`` does, over the image where it is given, whose edges cut the bounds."""
+    if image is None:
+        return canvas.make_image_figure(bounds, title, unit, beside=beside)
+    bounds = image.clip(bounds, unit.size)
+    figure, axes = canvas.make_image_figure(bounds, title, unit, beside=beside)
+    image.draw(axes, unit.size)
+    canvas.set_bounds(axes, bounds)
+    return figure, axes
 
 
 def read_preview(source: ImageSource) -> Preview:
@@ -127,9 +123,10 @@ def read_preview(source: ImageSource) -> Preview:
     return Preview(pixels, step, source.width, source.height)
 
 
-def find_thinned_extent(shape: tuple[int, ...], step: int) -> tuple[float, float, float, float]:
-    """Find left, right, bottom, top of a thinned image, pixels, y down."""
-    return (-0.5 * step, (shape[1] - 0.5) * step, (shape[0] - 0.5) * step, -0.5 * step)
+def find_thinned_extent(shape: tuple[int, ...], step: int, size: float) -> tuple[float, float, float, float]:
+    """Find left, right, bottom, top of a thinned image, y down, in the axes' unit; ``size`` is a pixel's."""
+    return (size * (-0.5 * step), size * ((shape[1] - 0.5) * step), size * ((shape[0] - 0.5) * step),
+            size * (-0.5 * step))
 
 
 MARGIN = 0.06
@@ -167,9 +164,9 @@ class Values:
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
                       unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
     """Draw the displacement on the mesh at rest, over the reference image where it is given."""
-    symbol = format_component("u", component)
-    shown = Values(f"Displacement {symbol}", f"{symbol} [{unit.name}]",
-                   unit.size * pick_component(result.displacement, component))
+    shown = Values(f"Displacement {canvas.format_component('u', component)}",
+                   canvas.label_component("u", component, unit),
+                   unit.size * canvas.pick_component(result.displacement, component))
     return draw_values(result.mesh, [shown], image, unit, limits)
 
 
@@ -181,33 +178,73 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
     is None too.
     """
     nodes = unit.size * mesh.nodes
-    bounds = find_mesh_bounds(nodes, MARGIN)
+    bounds = canvas.find_mesh_bounds(nodes, MARGIN)
     if image is not None:
         bounds = image.clip(bounds, unit.size)
-    figure, panels = make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
+    figure, panels = canvas.make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
     for axes, panel in zip(panels, shown, strict=True):
-        colours = _add_colours(axes, mesh, nodes, panel, choose_limits(panel.values, panel.limits or limits))
+        colours = _add_colours(axes, mesh, nodes, panel, canvas.choose_limits(panel.values, panel.limits or limits))
         if image is not None:
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
             image.draw(axes, unit.size)
             image.draw(axes, unit.size, opacity=1.0 - OPACITY)
-            set_bounds(axes, bounds)
-        add_colour_bar(figure, axes, colours, panel.label)
+            canvas.set_bounds(axes, bounds)
+        canvas.add_colour_bar(figure, axes, colours, panel.label)
     return figure
 
 
 def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], panel: Values, limits: Limits) -> Collection:
     """Colours by node, interpolated, or by cell; nodes: in the axes' unit."""
     if not panel.by_cell:
-        return draw_nodal_colours(axes, mesh, nodes, panel.values, limits)
-    cells = make_cell_polygons(mesh, nodes, array=panel.values, cmap=COLOURS, edgecolors="face", linewidths=0.1,
-                               clim=limits, rasterized=mesh.n_cells > MOST_SHARP_CELLS)
-    axes.add_collection(cells)
-    return cells
+        return canvas.draw_nodal_colours(axes, mesh, nodes, panel.values, limits)
+    return canvas.draw_cell_colours(axes, mesh, nodes, panel.values, limits)
+
+
+AROUND = 0.12
+"""Around a near field, relative to its longer side."""
+
+
+def draw_near_far(result: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS) -> Figure:
+    """Draw the displacement of the whole mesh, then around each near field in colours of its own.
+
+    Near fields are outlined; titles tell alpha, in pixels, by which each near set-up moved.
+    """
+    whole = replace(result.mesh, nodes=unit.size * result.mesh.nodes)
+    camera_of_cell = result.cell_data[schema.CAMERA]
+    titles, boxes, near = ["far field"], [canvas.find_mesh_bounds(whole.nodes)], []
+    for camera in range(1, int(camera_of_cell.max()) + 1):
+        mesh, _ = whole.create_submesh(np.flatnonzero(camera_of_cell == camera))
+        alpha = result.attributes[schema.near_group(camera)]["alpha_px"]
+        titles.append(f"near field {camera}, $\\alpha$ = ({alpha[0]:.3f}, {alpha[1]:.3f}) px")
+        boxes.append(canvas.find_mesh_bounds(mesh.nodes, AROUND))
+        near.append(mesh)
+    figure, panels = canvas.make_panels(boxes, titles, unit)
+    values = unit.size * canvas.pick_component(result.displacement, component)
+    for axes, box in zip(panels, boxes, strict=True):
+        inside = values[find_points_inside(whole.nodes, box)]
+        colours = canvas.draw_nodal_colours(axes, whole, whole.nodes, values, canvas.choose_limits(inside))
+        draw_outlines(axes, near)
+        canvas.set_bounds(axes, box)
+        canvas.add_colour_bar(figure, axes, colours, canvas.label_component("u", component, unit))
+    return figure
+
+
+def draw_outlines(axes: Axes, outlined: Sequence[Mesh]) -> None:
+    """Draw the outlines of meshes, on grey."""
+    for mesh in outlined:
+        edges = find_boundary_facets(mesh)[:, :2]
+        axes.add_collection(LineCollection(list(mesh.nodes[edges]), colors="white", linewidths=1.2))
+    axes.set_facecolor("0.6")
+
+
+def find_points_inside(points: NDArray[np.float64], box: Bounds) -> NDArray[np.bool_]:
+    """Tell which points (n, 2) lie in a box, (n,)."""
+    low, high = box[:2], box[2:]
+    is_inside = (points >= low) & (points <= high)
+    return np.asarray(is_inside.all(axis=1))
 
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
-MEASURES: tuple[Measure, ...] = ("infinitesimal", "green-lagrange", "hencky")
 NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
 """What of a tensor is drawn."""
 
@@ -216,8 +253,6 @@ PANELS = ("xx", "yy", "xy")
 
 NAMES = {"infinitesimal": "Strain", "green-lagrange": "Green-Lagrange strain", "hencky": "Logarithmic strain"}
 SYMBOLS = {"xx": "xx", "yy": "yy", "xy": "xy", "principal-1": "1", "principal-2": "2", "von-mises": "vM"}
-IN_THE_PLANE = [0, 1, 3]
-"""Of XX, YY, ZZ, XY, YZ, XZ."""
 
 
 @dataclass(frozen=True)
@@ -277,15 +312,13 @@ def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:
     """
     if choice.by_cell:
         name = schema.STRAIN_INFINITESIMAL if choice.measure == "infinitesimal" else schema.STRAIN_GREEN_LAGRANGE
-        tensors: NDArray[np.float64] = result.cell_data[name][:, IN_THE_PLANE]
+        tensors = schema.pick_in_the_plane(result.cell_data[name])
         return compute_hencky(tensors) if choice.measure == "hencky" else tensors
-    name = {"infinitesimal": schema.NODAL_INFINITESIMAL, "green-lagrange": schema.NODAL_GREEN_LAGRANGE,
-            "hencky": schema.NODAL_HENCKY}[choice.measure]
+    name = schema.NODAL_STRAINS[choice.measure]
     if name not in result.point_data:
         raise InputError(f"{result.path}: holds no strain at nodes (written before schema 1.6); add --by-cell, or run "
                          "ddic again")
-    at_nodes: NDArray[np.float64] = result.point_data[name][:, IN_THE_PLANE]
-    return at_nodes
+    return schema.pick_in_the_plane(result.point_data[name])
 
 
 def pick_number(tensors: NDArray[np.float64], number: str) -> NDArray[np.float64]:

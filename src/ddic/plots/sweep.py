@@ -112,12 +112,10 @@ def _annotate(axes: Axes, swept: Sequence[SweptElements]) -> None:
 
 def _finish(corner: Axes, residual: Axes, error: Axes, lengths: tuple[Array, Array]) -> None:
     """Labels, grids and legends."""
-    corner.set_xlabel("forces out of equilibrium, RMS of div s / E [1/px]")
-    corner.set_title("L-curve (numbers: l_c [px])")
+    corner.set(title="L-curve (numbers: l_c [px])", xlabel="forces out of equilibrium, RMS of div s / E [1/px]")
     corner.legend(fontsize="small", title="elements", title_fontsize="small")
     residual.set_title("residual")
-    error.set_title("error of the displacement")
-    error.set_ylabel("RMS error [px]")
+    error.set(title="error of the displacement", ylabel="RMS error [px]")
     error.plot([], [], "ko-", markersize=4.5, label="on the virtual images")
     error.plot([], [], "k:", label="as the residual predicts")
     error.legend(fontsize="small")

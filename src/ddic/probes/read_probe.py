@@ -20,18 +20,12 @@ from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, Strai
 Array = NDArray[np.float64]
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
 
-IN_THE_PLANE = [0, 1, 3]
-"""xx, yy, xy of XX, YY, ZZ, XY, YZ, XZ."""
-
 MOST_SAMPLES = 64
 """Places along each side of a strain gauge at which its plane is fitted; there is one a pixel of small ones. More
 change the plane by less than a thousandth, and take longer."""
 
 FEWEST_SAMPLES = 4
 """The least number of them, for gauges of a few pixels."""
-
-NODAL = {"infinitesimal": schema.NODAL_INFINITESIMAL, "green-lagrange": schema.NODAL_GREEN_LAGRANGE,
-         "hencky": schema.NODAL_HENCKY}
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +113,7 @@ def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure
     def interpolate_strain(name: str) -> Array:
         if name not in result.point_data:
             return np.full((len(points), 3), np.nan)
-        tensors: Array = result.point_data[name][:, IN_THE_PLANE]
-        return interpolate_located(result.mesh, tensors, located)
+        return interpolate_located(result.mesh, schema.pick_in_the_plane(result.point_data[name]), located)
 
     displacement = result.at(points)
     along = np.full(len(points), np.nan)
@@ -130,9 +123,10 @@ def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure
         # The stretch of a fibre from Green and Lagrange's strain, exactly.
         along = _stretch_fibre(interpolate_strain(schema.NODAL_GREEN_LAGRANGE), probe.direction)
     notes = [_describe_gaps(result, points, located.cells, displacement), _describe_doubts(result, located.cells)]
-    if NODAL[measure] not in result.point_data:
+    at_nodes = schema.NODAL_STRAINS[measure]
+    if at_nodes not in result.point_data:
         notes.append("the result has no strain at nodes: written before schema 1.6")
-    return Reading(probe, points, distance, displacement, interpolate_strain(NODAL[measure]), along, _join(notes))
+    return Reading(probe, points, distance, displacement, interpolate_strain(at_nodes), along, _join(notes))
 
 
 def _stretch_fibre(green_lagrange: Array, direction: Array) -> Array:

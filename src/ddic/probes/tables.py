@@ -157,11 +157,6 @@ def average_along(values: NDArray[np.float64]) -> float:
     return float(known.mean()) if known.size else math.nan
 
 
-VECTOR_NAMES = ("x", "y")
-TENSOR_NAMES = {"xx": 0, "yy": 1, "xy": 3}
-"""Columns of a symmetric tensor in the plane, and their places in the file's XX, YY, ZZ, XY, YZ, XZ."""
-
-
 def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
     """Write all fields of a result as CSV, with units in the headers: NAME.nodes.csv and NAME.cells.csv.
 
@@ -209,9 +204,9 @@ def _list_columns(result: Result, what: str, places: NDArray[np.float64],
         if values.ndim == 1:
             columns[f"{name} [{unit}]"] = values
         elif values.shape[1] == schema.VECTOR:
-            columns |= {f"{name}_{axis} [{unit}]": values[:, k] for k, axis in enumerate(VECTOR_NAMES)}
+            columns |= {f"{name}_{axis} [{unit}]": values[:, k] for k, axis in enumerate("xy")}
         else:
-            columns |= {f"{name}_{pair} [{unit}]": values[:, k] for pair, k in TENSOR_NAMES.items()}
+            columns |= {f"{name}_{pair} [{unit}]": values[:, k] for pair, k in schema.IN_THE_PLANE.items()}
     return columns
 
 
