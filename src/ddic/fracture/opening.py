@@ -5,7 +5,6 @@ The discontinuities that a result was measured with.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
-from ddic.io.result_schema import CASE, DOUBTFUL, EXCLUDED, EXCLUDED_STATES
+from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, parse_case
 from ddic.mesh.interpolation import locate
 
 
@@ -23,8 +22,7 @@ def get_lines(result: Result) -> list[NDArray[np.float64]]:
 
     Lines that were found are given as they were found.
     """
-    case = json.loads(str(result.attributes.get(CASE, {}).get("json", "{}")))
-    return [np.array(section["vertices"]) for section in case.get("discontinuity", ())]
+    return [np.array(section["vertices"]) for section in parse_case(result.attributes).get("discontinuity", ())]
 
 
 def get_line(result: Result, number: int) -> NDArray[np.float64]:

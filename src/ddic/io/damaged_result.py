@@ -6,12 +6,12 @@ here, where the library does not turn in a loop over a damaged one.
 
 from __future__ import annotations
 
-import json
 import mmap
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -22,10 +22,6 @@ from ddic.io import result_schema as schema
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_shape_quality
-
-if TYPE_CHECKING:
-    from ddic.io.result_reader import Result
-
 
 READ_ERRORS = (OSError, RuntimeError, KeyError, ValueError, IndexError, TypeError, AttributeError, ArithmeticError,
                MemoryError)
@@ -54,20 +50,14 @@ def describe_damage(error: BaseException) -> str:
 def read_array(dataset: Any) -> NDArray[Any]:
     """Read a dataset whole, unless it claims to hold more than its file can.
 
-    The file may be damaged. Raises ValueError where memory would be filled with what is not there.
+    The file may be damaged. Raises ValueError, with both sizes, where memory would be filled with what is not there.
     """
-    require_stored(dataset)
+    # A file in memory was written by this program from what was read before.
+    if dataset.file.driver != "core":
+        stored = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
+        if dataset.nbytes > stored * (MOST_DEFLATED if dataset.compression else 1):
+            raise ValueError(f"{dataset.name} claims {dataset.nbytes} bytes, of which {stored} are there")
     return np.asarray(dataset[...])
-
-
-def require_stored(dataset: Any) -> None:
-    """Refuse a dataset that claims to hold more than its file can, by a ValueError with both sizes."""
-    if dataset.file.driver == "core":
-        # Written by this program from what was read before.
-        return
-    stored = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
-    if dataset.nbytes > stored * (MOST_DEFLATED if dataset.compression else 1):
-        raise ValueError(f"{dataset.name} claims {dataset.nbytes} bytes, of which {stored} are there")
 
 
 def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> None:
@@ -76,7 +66,7 @@ def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> Non
     ``grid`` holds the (n,) arrays NumberOfPoints, NumberOfCells, NumberOfConnectivityIds, Offsets, Connectivity and
     Types; ``n_stored`` is the number of points of all pieces.
     """
-    n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
+    n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     for name, values in grid.items():
         if values.ndim != 1 or values.dtype.kind not in "iu":
             raise ValueError(f"{name}: an array of {values.ndim} dimensions of {values.dtype}")
@@ -95,7 +85,7 @@ def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> Non
 
 def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
     """Refuse cells with other nodes than their types have, or than their piece has."""
-    n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
+    n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     connectivity, types, offsets = grid["Connectivity"], grid["Types"], grid["Offsets"]
     unknown = set(np.unique(types).tolist()) - set(CELL_TYPES)
     if unknown:
@@ -151,26 +141,6 @@ def require_sound_values(mesh: Mesh, displacement: NDArray[np.float64]) -> None:
     n_shapeless = int((measure_shape_quality(mesh) <= 0.0).sum())
     if n_shapeless:
         raise ValueError(f"Points: {n_shapeless} cells are flat, crossed or not convex")
-
-
-def require_known_displacement(result: Result) -> None:
-    """Refuse a result to start from that lacks displacements where it measured them.
-
-    Raises InputError where nothing was measured, or a node has no displacement although pixels of its cells count.
-    """
-    if not result.measured_nodes.any():
-        raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
-    if json.loads(str(result.attributes.get(schema.CASE, {}).get("json", "{}"))).get("discontinuity"):
-        # Where a line parts cells, pixels of a node's cells may say nothing of one of its sides.
-        return
-    n_cells = result.mesh.n_cells
-    n_pixels = result.cell_data.get(schema.RESIDUAL_N_PIXELS, np.zeros(n_cells))
-    counts = (n_pixels > 0) & (result.cell_data.get(schema.EXCLUDED, np.zeros(n_cells)) == 0)
-    nodes = result.mesh.connectivity[np.repeat(counts, np.diff(result.mesh.offsets))]
-    n_unknown = len(np.unique(nodes[~result.measured_nodes[nodes]]))
-    if n_unknown:
-        raise InputError(f"{result.path}: damaged: {n_unknown} nodes of cells that were measured have no displacement; "
-                         "run ddic again")
 
 
 def _least(values: NDArray[Any]) -> int:
@@ -261,7 +231,7 @@ def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> Non
         for name in names:
             if name in attributes.get(group, {}):
                 _require_number(f"{group}.{name}", attributes[group][name], is_length=name in _LENGTHS)
-    _require_case(json.loads(str(attributes.get(schema.CASE, {}).get("json", "{}"))))
+    _require_case(schema.parse_case(attributes))
 
 
 def _require_number(name: str, value: Any, *, is_length: bool) -> None:
@@ -313,12 +283,10 @@ def open_hdf5(path: Path) -> h5py.File:
     Raises InputError where a collection would hold the library for ever, or the objects of the file cannot be listed;
     OSError where it cannot be opened, or is no HDF5 file.
     """
-    file = h5py.File(path, "r")
-    try:
+    with ExitStack() as stack:
+        file = stack.enter_context(h5py.File(path, "r"))
         _require_finite(path, file)
-    except BaseException:
-        file.close()
-        raise
+        stack.pop_all()
     return file
 
 

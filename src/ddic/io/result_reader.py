@@ -35,8 +35,6 @@ from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
 from ddic.separated.field import LineElements, SeparatedField
 
-GRID = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity", "Types")
-
 SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
 
@@ -268,6 +266,26 @@ def evaluate_on_sides(result: Result, points: NDArray[np.float64],
     return values
 
 
+def require_known_displacement(result: Result) -> None:
+    """Refuse a result to start from that lacks displacements where it measured them.
+
+    Raises InputError where nothing was measured, or a node has no displacement although pixels of its cells count.
+    """
+    if not result.measured_nodes.any():
+        raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
+    if schema.parse_case(result.attributes).get("discontinuity"):
+        # Where a line parts cells, pixels of a node's cells may say nothing of one of its sides.
+        return
+    n_cells = result.mesh.n_cells
+    n_pixels = result.cell_data.get(schema.RESIDUAL_N_PIXELS, np.zeros(n_cells))
+    counts = (n_pixels > 0) & (result.cell_data.get(schema.EXCLUDED, np.zeros(n_cells)) == 0)
+    nodes = result.mesh.connectivity[np.repeat(counts, np.diff(result.mesh.offsets))]
+    n_unknown = len(np.unique(nodes[~result.measured_nodes[nodes]]))
+    if n_unknown:
+        raise InputError(f"{result.path}: damaged: {n_unknown} nodes of cells that were measured have no displacement; "
+                         "run ddic again")
+
+
 def check_schema(path: Path, file: Any) -> None:
     """Refuse what is no result, or one that this program would misread, by an InputError with what it is instead.
 
@@ -286,13 +304,14 @@ def check_schema(path: Path, file: Any) -> None:
                          "use the ddic version that wrote it")
 
 
-def read_open_file(path: Path, file: Any) -> Result:
+def read_open_file(path: Path, file: Any, *, with_image: bool = False) -> Result:
     """Join the pieces of an open file to a result.
 
-    ``path`` is its name; an empty one is that of a file in memory, whose residual image is read at once.
+    ``path`` is what it is called, empty for what is only in memory. ``with_image`` reads the residual image at once, of
+    a file that cannot be opened again for it.
     """
-    flipped = str(file.attrs["y_axis"]) == "up"
-    grid = {name: read_array(file[schema.VTKHDF][name]) for name in GRID}
+    flipped = schema.is_flipped(file)
+    grid = {name: read_array(file[schema.VTKHDF][name]) for name in schema.TOPOLOGY}
     points = _unflipped(read_array(file[schema.VTKHDF]["Points"]), flipped)
     point_data = _fields(file[schema.POINT_DATA], flipped)
     cell_data = _fields(file[schema.CELL_DATA], flipped)
@@ -300,11 +319,12 @@ def read_open_file(path: Path, file: Any) -> Result:
     require_sound_fields({"Points": points, **point_data}, len(points))
     require_sound_fields(cell_data, len(grid["Types"]))
     require_sound_ids(point_data, cell_data)
-    merged = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID], cell_data[schema.GLOBAL_CELL_ID])
-    at_nodes = {name: values[merged.points] for name, values in point_data.items()}
-    on_cells = {name: values[merged.cells] for name, values in cell_data.items()}
+    mesh, point_rows, cell_rows = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID],
+                                               cell_data[schema.GLOBAL_CELL_ID])
+    at_nodes = {name: values[point_rows] for name, values in point_data.items()}
+    on_cells = {name: values[cell_rows] for name, values in cell_data.items()}
     displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
-    require_sound_values(merged.mesh, displacement)
+    require_sound_values(mesh, displacement)
     attributes = {name: dict(file[name].attrs) for name in file if schema.has_attributes(name)}
     require_sound_attributes(attributes)
     tables = {group: _arrays(file, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
@@ -312,7 +332,7 @@ def read_open_file(path: Path, file: Any) -> Result:
     require_sound_tables(tables)
     result = Result(
         path=path,
-        mesh=merged.mesh,
+        mesh=mesh,
         displacement=displacement,
         point_data=at_nodes,
         cell_data=on_cells,
@@ -326,7 +346,7 @@ def read_open_file(path: Path, file: Any) -> Result:
         failure=str(file.attrs.get(schema.FAILURE, "")),
         phases=tables[schema.PHASES],
     )
-    if path == Path():
+    if with_image:
         # What is computed at first use may also be put in place, whatever the class is frozen for.
         result.__dict__["residual_image"] = _read_residual_image(file)
     return result
@@ -352,42 +372,26 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     return image.astype(np.float32, copy=False)
 
 
-@dataclass(frozen=True)
-class MergedPieces:
-    """The pieces of a file as one mesh.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        Nodes and cells in the order of their numbers in the whole mesh.
-    points, cells : (n_nodes,) and (n_cells,) array
-        Row of each node among the points, and of each cell among the cells, of the pieces.
-    """
-
-    mesh: Mesh
-    points: NDArray[np.intp]
-    cells: NDArray[np.intp]
-
-
 def merge_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[np.float64], global_node_ids: NDArray[np.int64],
-                 global_cell_ids: NDArray[np.int64]) -> MergedPieces:
-    """Merge the pieces of a file to one mesh, and tell where its nodes and cells stand in the file.
+                 global_cell_ids: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.intp], NDArray[np.intp]]:
+    """Merge the pieces of a file to one mesh, nodes and cells in the order of their numbers in the whole mesh.
 
-    ``grid`` is the geometry of the file by name; ``points``, (n_points, 3), are those of all pieces with the axes
+    ``grid`` is the topology of the file by name; ``points``, (n_points, 3), are those of all pieces with the axes
     wanted, pixels. The ids, (n_points,) and (n_cells,), are numbers of each point's node and of each cell in the whole
-    mesh.
+    mesh. Beside the mesh come the row of each node among the points, (n_nodes,), and of each cell among the cells,
+    (n_cells,).
     """
     # Interface nodes stand in every piece that has them, all copies with the same values.
     first_copy = np.unique(global_node_ids, return_index=True)[1]
     node_ids = np.searchsorted(global_node_ids[first_copy], global_node_ids)
     order = np.argsort(global_cell_ids, kind="stable")
-    return MergedPieces(_merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order)
+    return _merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order
 
 
 def _merge_mesh(grid: Mapping[str, NDArray[Any]], nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
                 order: NDArray[np.intp]) -> Mesh:
     """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
-    n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
+    n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     offsets, connectivity = grid["Offsets"], grid["Connectivity"]
     connectivity = node_ids[connectivity + np.repeat(np.cumsum(n_points) - n_points, n_ids)]
     # Each piece has n_cells + 1 offsets: all but its last are the starts of its cells.
@@ -403,12 +407,12 @@ def _merge_mesh(grid: Mapping[str, NDArray[Any]], nodes: NDArray[np.float64], no
 
 def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
     """All datasets of a group, y down."""
-    return {name: _unflipped(read_array(data), flipped and _has_axes_of_image(data)) for name, data in group.items()}
-
-
-def _has_axes_of_image(data: Any) -> bool:
-    """Whether a field has the image's axes; before schema 1.4 all were written as if they had."""
-    return str(data.attrs.get("axes", schema.AXES_OF_IMAGE)) == schema.AXES_OF_IMAGE
+    fields = {}
+    for name, data in group.items():
+        # Before schema 1.4 all were written as if they had the image's axes.
+        axes = str(data.attrs.get("axes", schema.AXES_OF_IMAGE))
+        fields[name] = _unflipped(read_array(data), flipped and axes == schema.AXES_OF_IMAGE)
+    return fields
 
 
 def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:

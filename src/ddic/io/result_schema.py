@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +14,14 @@ from numpy.typing import DTypeLike, NDArray
 from ddic.separated.field import SeparatedField
 
 SCHEMA_VERSION = "1.7"
+VERSION, Y_AXIS = OF_FORMAT = "ddic_schema", "y_axis"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
+PIECES = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds")
+TOPOLOGY = (*PIECES, "Connectivity", "Offsets", "Types")
+"""Datasets that, with the places of the points, are a mesh in pieces; the first ones have a number a piece."""
+
 POINT_DATA = "VTKHDF/PointData"
 CELL_DATA = "VTKHDF/CellData"
 RESIDUAL_IMAGE = "residual_image"
@@ -29,7 +36,7 @@ CASE = "case"
 PROVENANCE = "provenance"
 TIME = "time"
 UNITS = "units"
-STATUS, FAILURE = "status", "failure"
+STATUS, FAILURE = OF_STATUS = "status", "failure"
 CONVERGED, NOT_CONVERGED = "converged", "not converged"
 SHOWS = "shows"
 NOISE_FLOOR = "noise_floor_px"
@@ -194,6 +201,37 @@ def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.floa
         "x": (field.x, "1", "functions of x at their nodes (n_modes, 2, n_x), of mean square 1"),
         "y": (field.y, "1", "functions of y at their nodes (n_modes, 2, n_y), of mean square 1"),
     }
+
+
+def begin_file(file: Any, *, flipped: bool) -> None:
+    """Note by which schema a file is written, and whether its y is up (``flipped``) or down."""
+    file.attrs[VERSION] = SCHEMA_VERSION
+    file.attrs[Y_AXIS] = "up" if flipped else "down"
+
+
+def is_flipped(file: Any) -> bool:
+    """Tell whether y is up in a file."""
+    return str(file.attrs[Y_AXIS]) == "up"
+
+
+def copy_attributes(source: Any, target: Any, names: Iterable[str]) -> None:
+    """Copy some attributes of a group to another one."""
+    for name in names:
+        target.attrs[name] = source.attrs[name]
+
+
+def create_vtk_group(file: Any, kind: str) -> Any:
+    """Create the group that VTK reads, an ``UnstructuredGrid`` or ``ImageData``, and return it."""
+    group = file.create_group(VTKHDF)
+    group.attrs["Version"] = np.array(VTKHDF_VERSION, np.int64)
+    # VTK's reader wants fixed-length ASCII here, not h5py's variable-length UTF-8.
+    group.attrs.create("Type", np.bytes_(kind))
+    return group
+
+
+def parse_case(attributes: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Parse the case that stands among the attributes of a result: sections by name, of keys by name."""
+    return json.loads(str(attributes.get(CASE, {}).get("json", "{}")))
 
 
 def near_group(camera: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import ChunkGrid, NewHdf5
+from ddic.io.hdf5_stream import ChunkGrid, new_hdf5
 from ddic.io.replace_on_exit import NewFiles, replaced_together
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
@@ -67,10 +67,9 @@ class Piece:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """The pieces announced: sizes, where each begins in (points, cells, connectivity), and their fields."""
+    """The pieces announced: what lies before each of them, and at last all of them, and their fields."""
 
-    sizes: tuple[PieceSize, ...]
-    starts: NDArray[np.int64]
+    starts: Sequence[PieceSize]
     point_fields: tuple[FieldSpec, ...]
     cell_fields: tuple[FieldSpec, ...]
 
@@ -96,19 +95,16 @@ class ResultWriter:
         self._path = path
         self._flip_y = flip_y
         self._files = files
-        self._on_disk: NewHdf5 | None = None
         self._pieces: _Pieces | None = None
         self._fields: dict[str, Any] = {}
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
-        self._has_units = False
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._file = self._open(stack)
-            self._file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
-            self._file.attrs["y_axis"] = "up" if self._flip_y else "down"
+            self._file, self._require_written = self._open(stack)
+            schema.begin_file(self._file, flipped=self._flip_y)
             self._stack = stack.pop_all()
         return self
 
@@ -129,7 +125,7 @@ class ResultWriter:
             files.remove_old(schema.sidecar_path(path))
         for camera, grid in enumerate(self._grids):
             write_sidecar(path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y, files=files)
-        if self._has_physical_units():
+        if schema.UNITS in self._file and schema.DISPLACEMENT_PHYSICAL in self._file.get(schema.POINT_DATA, ()):
             write_physical_sidecar(path, self._file, files)
         else:
             files.remove_old(schema.physical_path(path))
@@ -137,7 +133,7 @@ class ResultWriter:
     def read_back(self) -> Result:
         """Read what was written, with the residual image, to memory while the file is open."""
         self._refuse_missing_pieces()
-        return read_open_file(Path() if self._path is None else self._path, self._file)
+        return read_open_file(self._path or Path(), self._file, with_image=self._path is None)
 
     def read_image(self) -> bytes:
         """Read the content of a file in memory, as it would be on the disk."""
@@ -148,10 +144,15 @@ class ResultWriter:
     def create_pieces(self, sizes: Sequence[PieceSize], point_fields: Sequence[FieldSpec],
                       cell_fields: Sequence[FieldSpec]) -> None:
         """Make room for a mesh in pieces of these sizes, all of them, and for the fields that every piece brings."""
-        counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
-        starts = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
-        self._pieces = _Pieces(tuple(sizes), starts, tuple(point_fields), tuple(cell_fields))
-        self._create_grid(self._pieces)
+        starts = [PieceSize(0, 0, 0)]
+        for size in sizes:
+            last = starts[-1]
+            starts.append(PieceSize(last.n_points + size.n_points, last.n_cells + size.n_cells,
+                                    last.n_connectivity + size.n_connectivity))
+        self._pieces = _Pieces(starts, tuple(point_fields), tuple(cell_fields))
+        self._create_grid(sizes, starts[-1])
+        self._create_fields(schema.POINT_DATA, point_fields, starts[-1].n_points)
+        self._create_fields(schema.CELL_DATA, cell_fields, starts[-1].n_cells)
 
     def write_pieces(self, indices: range, pieces: Piece) -> None:
         """Write the mesh and fields of some pieces that follow each other.
@@ -165,7 +166,7 @@ class ResultWriter:
         if again:
             raise ValueError(f"pieces {again} were written before")
         announced = self._pieces
-        start, stop = _start_of(announced, indices.start), _start_of(announced, indices.stop)
+        start, stop = announced.starts[indices.start], announced.starts[indices.stop]
         n_points, n_cells = stop.n_points - start.n_points, stop.n_cells - start.n_cells
         for what, found, expected in (("points", len(pieces.points), n_points),
                                       ("types", len(pieces.types), n_cells),
@@ -191,8 +192,7 @@ class ResultWriter:
         data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", (grid.height, grid.width),
                                          "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
                                          shuffle=True, fillvalue=np.nan)
-        data.attrs["unit"] = "grey level"
-        data.attrs["description"] = "f(x) - g(x + u), NaN where not correlated; rows go down"
+        data.attrs.update(unit="grey level", description="f(x) - g(x + u), NaN where not correlated; rows go down")
         self._file[group].attrs["origin"] = np.zeros(2)
         self._grids.append(grid)
         self._residual = data.id
@@ -216,15 +216,13 @@ class ResultWriter:
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         if len({len(array) for array in arrays.values()}) > 1:
             raise ValueError(f"{group}: columns of different lengths")
-        target = self._file.require_group(group)
-        for name, array in arrays.items():
-            target[name] = array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
+        self.write_arrays(group, {name: array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
+                                  for name, array in arrays.items()})
 
     def write_curves(self, group: str, curves: Sequence[Sequence[float] | NDArray[np.float64]]) -> None:
         """Write arrays of different lengths as datasets 0000, 0001, ..."""
-        target = self._file.require_group(group)
-        for number, curve in enumerate(curves):
-            target[f"{number:04d}"] = np.asarray(curve, np.float64)
+        self.write_arrays(group, {f"{number:04d}": np.asarray(curve, np.float64)
+                                  for number, curve in enumerate(curves)})
 
     def write_arrays(self, group: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write arrays by name as they are, of any shapes."""
@@ -237,15 +235,11 @@ class ResultWriter:
         target = self._file.require_group(schema.SEPARATED)
         for name, (values, unit, description) in schema.describe_separated(field).items():
             target[name] = values
-            target[name].attrs["unit"] = unit
-            target[name].attrs["description"] = description
+            target[name].attrs.update(unit=unit, description=description)
 
     def write_attributes(self, group: str, values: Mapping[str, Any]) -> None:
         """Write attributes of a group, which is made where there is none: texts, numbers or lists of them by name."""
-        target = self._file.require_group(group)
-        for name, value in values.items():
-            target.attrs[name] = value
-        self._has_units |= group == schema.UNITS
+        self._file.require_group(group).attrs.update(values)
 
     def write_status(self, failure: str) -> None:
         """Write whether the field converged, as attributes of the file.
@@ -255,67 +249,47 @@ class ResultWriter:
         self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
         self._file.attrs[schema.FAILURE] = failure
 
-    def _open(self, stack: ExitStack) -> h5py.File:
-        """The file under its temporary name, or in memory."""
+    def _open(self, stack: ExitStack) -> tuple[h5py.File, Callable[[], None]]:
+        """The file under its temporary name, or in memory.
+
+        Beside it comes what raises OSError where the disk has refused a part: what is still to come would be kept in
+        memory.
+        """
         if self._path is None:
-            return stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False))
+            return stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False)), lambda: None
         if self._files is None:
             self._files = stack.enter_context(replaced_together())
-        self._on_disk = stack.enter_context(NewHdf5(self._files.begin(self._path), CHUNK_CACHE_BYTES))
-        return self._on_disk.file
-
-    def _require_written(self) -> None:
-        """Raise OSError where the disk has refused a part: what is still to come would be kept in memory."""
-        if self._on_disk is not None:
-            self._on_disk.require_written()
+        return stack.enter_context(new_hdf5(self._files.begin(self._path), CHUNK_CACHE_BYTES))
 
     def _refuse_missing_pieces(self) -> None:
         """Raise where an announced piece has not been written."""
-        announced = 0 if self._pieces is None else len(self._pieces.sizes)
-        missing = sorted(set(range(announced)) - self._written)
+        n_announced = 0 if self._pieces is None else len(self._pieces.starts) - 1
+        missing = sorted(set(range(n_announced)) - self._written)
         if missing:
             raise ValueError(f"{self._path}: pieces {missing} were not written")
-
-    def _has_physical_units(self) -> bool:
-        """Whether displacements are written in a length unit, hence the size of a pixel is known."""
-        fields = () if self._pieces is None else self._pieces.point_fields
-        return self._has_units and any(field.name == schema.DISPLACEMENT_PHYSICAL for field in fields)
 
     def _oriented(self, values: NDArray[Any]) -> NDArray[Any]:
         """Vectors and tensors as the file has them."""
         return schema.flip_components(values) if self._flip_y else values
 
-    def _create_grid(self, pieces: _Pieces) -> None:
-        """Make room for the mesh and its fields."""
-        sizes = pieces.sizes
-        total = _start_of(pieces, len(sizes))
-        group = self._file.create_group(schema.VTKHDF)
-        group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
-        # VTK's reader wants fixed-length ASCII here, not h5py's variable-length UTF-8.
-        group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
-        counts_by_name = {
-            "NumberOfPoints": [s.n_points for s in sizes],
-            "NumberOfCells": [s.n_cells for s in sizes],
-            "NumberOfConnectivityIds": [s.n_connectivity for s in sizes],
-        }
-        for name, counts in counts_by_name.items():
-            _create(group, name, len(counts), 1, np.int64)[...] = counts
+    def _create_grid(self, sizes: Sequence[PieceSize], total: PieceSize) -> None:
+        """Make room for the mesh."""
+        group = schema.create_vtk_group(self._file, "UnstructuredGrid")
+        counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
+        for name, of_pieces in zip(schema.PIECES, counts.T, strict=True):
+            group[name] = of_pieces
         _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
         _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
         # Each piece has one offset more than cells.
         _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
         _create(group, "Types", total.n_cells, 1, np.uint8)
-        self._create_fields(schema.POINT_DATA, pieces.point_fields, total.n_points)
-        self._create_fields(schema.CELL_DATA, pieces.cell_fields, total.n_cells)
 
     def _create_fields(self, name: str, fields: Sequence[FieldSpec], length: int) -> None:
         """Make room for the fields of a group."""
         group = self._file.create_group(name)
         for field in fields:
             created = _create(group, field.name, length, field.n_components, field.dtype)
-            created.attrs["unit"] = field.unit
-            created.attrs["description"] = field.description
-            created.attrs["axes"] = field.axes
+            created.attrs.update(unit=field.unit, description=field.description, axes=field.axes)
             self._fields[f"{name}/{field.name}"] = created
 
     def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Mapping[str, NDArray[Any]],
@@ -333,11 +307,6 @@ class ResultWriter:
                 raise ValueError(f"{group}/{field.name}: shape {values.shape}, {expected} announced")
             oriented = self._oriented(values) if field.axes == schema.AXES_OF_IMAGE else values
             _put(self._fields[f"{group}/{field.name}"], start, oriented)
-
-
-def _start_of(pieces: _Pieces, index: int) -> PieceSize:
-    """Where a piece begins."""
-    return PieceSize(*(int(n) for n in pieces.starts[index]))
 
 
 def join_pieces(pieces: Sequence[Piece]) -> Piece:
