@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 import tifffile
@@ -27,10 +27,13 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.image_header import check_claimed_size, check_decoded_size
 
-if TYPE_CHECKING:
-    pass
+MOST_PIXELS_ALONG = 1_000_000
+"""Columns or rows of an image: ten times those of the largest sensors. A larger value believes more headers."""
+
+MOST_PIXELS_DECODED = 1 << 28
+"""Pixels of an image that can only be decoded whole, 16,384 x 16,384: it takes seconds, and a byte or more of memory a
+pixel. A larger value makes every look at a larger image as slow as that."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,27 @@ def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
     for weight, channel in zip(LUMA, range(3), strict=True):
         grey += weight * channels[..., channel]
     return grey.astype(np.float32)
+
+
+def check_decoded_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image that would have to be decoded whole to read any part of it, and is too large for that.
+
+    Raises InputError where it has, as its header says, more than MOST_PIXELS_DECODED.
+    """
+    if width * height > MOST_PIXELS_DECODED:
+        raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
+                         f"{MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of which only "
+                         "what is needed is read")
+
+
+def check_claimed_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image of a size that no camera gives.
+
+    Raises InputError where a side, as its header says, is longer than MOST_PIXELS_ALONG.
+    """
+    if max(width, height) > MOST_PIXELS_ALONG:
+        raise InputError(f"{path}: its header claims {width} x {height} px; images have {MOST_PIXELS_ALONG} columns "
+                         "and rows at most; copy or save it again, if it is not damaged")
 
 
 # tifffile tells of damage by its log, beside what it raises; what matters of it is checked here.
