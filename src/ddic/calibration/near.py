@@ -108,18 +108,34 @@ class TileSearch:
     ratio: float
     side: int
 
+    @classmethod
+    def prepare(cls, far: Grey, near: Grey, ratio: float) -> TileSearch:
+        """Prepare the search of a near image in a far one, of about ``ratio`` near px per far px.
+
+        The near image must cover at least LEAST_TILE far px either way.
+        """
+        height, width = near.shape
+        size = max(round(width / ratio), 1), max(round(height / ratio), 1)
+        reduced = cv2.resize(near, size, interpolation=cv2.INTER_AREA)
+        most = min(int(n / (1 + RATIO_RANGE)) for n in (*size, far.shape[1], far.shape[0]))
+        # Half the image, so that a tile is left in view where part of the near field is not.
+        side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
+        blurred_far = cv2.GaussianBlur(far, (0, 0), _BLUR)
+        blurred_near = cv2.GaussianBlur(reduced, (0, 0), _BLUR)
+        blurred_far -= blurred_far.mean()
+        return cls(
+            far=blurred_far,
+            power=sum_window_squares(blurred_far, side),
+            reduced=blurred_near,
+            scale=(width / size[0], height / size[1]),
+            ratio=ratio,
+            side=side,
+        )
+
     def find_matches(self, *, fixed: bool = False) -> Iterator[Match]:
         """Find the best match of each tile, from the tile with the most texture on.
 
-        Parameters
-        ----------
-        fixed : bool, optional
-            Only the place is searched, with the given ratio and upright.
-
-        Yields
-        ------
-        Match
-            Of the next tile.
+        Where ``fixed``, only the place is searched, with the given ratio and upright.
         """
         for centre in self._choose_tiles():
             yield self._find_best(centre, fixed)
@@ -200,56 +216,11 @@ class TileSearch:
         return np.asarray(tile)
 
 
-def prepare_search(far: Grey, near: Grey, ratio: float) -> TileSearch:
-    """Prepare the search of the near image in the far one.
-
-    Parameters
-    ----------
-    far, near : (height, width) array
-        Grey levels; the near image must cover at least LEAST_TILE far px either way.
-    ratio : float
-        Rough near px per far px.
-
-    Returns
-    -------
-    TileSearch
-        Both images at the far one's resolution.
-    """
-    height, width = near.shape
-    size = max(round(width / ratio), 1), max(round(height / ratio), 1)
-    reduced = cv2.resize(near, size, interpolation=cv2.INTER_AREA)
-    most = min(int(n / (1 + RATIO_RANGE)) for n in (*size, far.shape[1], far.shape[0]))
-    # Half the image, so that a tile is left in view where part of the near field is not.
-    side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
-    blurred_far = cv2.GaussianBlur(far, (0, 0), _BLUR)
-    blurred_near = cv2.GaussianBlur(reduced, (0, 0), _BLUR)
-    blurred_far -= blurred_far.mean()
-    return TileSearch(
-        far=blurred_far,
-        power=sum_window_squares(blurred_far, side),
-        reduced=blurred_near,
-        scale=(width / size[0], height / size[1]),
-        ratio=ratio,
-        side=side,
-    )
-
-
 def correlate_template(image: Grey, power: NDArray[np.float64], template: Grey) -> NDArray[np.float64]:
-    """Correlate a template with each window of an image of its size (zero-mean, normalised).
+    """Correlate a template (rows, columns) with each window of an image of its size (zero-mean, normalised).
 
-    Parameters
-    ----------
-    image : (height, width) array
-        Grey levels.
-    power : (height - rows + 1, width - columns + 1) array
-        Of the image's windows, from ``sum_window_squares``.
-    template : (rows, columns) array
-        Grey levels.
-
-    Returns
-    -------
-    (height - rows + 1, width - columns + 1) array
-        Correlation coefficients; -1 where a window or the template is blank.
+    ``power``, (height - rows + 1, width - columns + 1), is of the image's windows, from ``sum_window_squares``. Of that
+    shape are the coefficients; -1 where a window or the template is blank.
     """
     centred = template - np.float32(template.mean())
     covariance = cv2.matchTemplate(image, centred, cv2.TM_CCORR).astype(np.float64)
@@ -262,20 +233,7 @@ def correlate_template(image: Grey, power: NDArray[np.float64], template: Grey) 
 
 
 def sum_window_squares(image: Grey, side: int) -> NDArray[np.float64]:
-    """Sum the squares about the mean of each window of an image.
-
-    Parameters
-    ----------
-    image : (height, width) array
-        Grey levels.
-    side : int
-        Of the windows, pixels.
-
-    Returns
-    -------
-    (height - side + 1, width - side + 1) array
-        Grey levels squared.
-    """
+    """Sum the squares about the mean of each square window of an image: (height - side + 1, width - side + 1)."""
     sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     total = _sum_windows(sums, side)
     square = _sum_windows(squares, side)
@@ -371,31 +329,14 @@ class Calibration:
     near_size: tuple[int, int]
 
 
-def calibrate(far: ImageSource, near: ImageSource, ratio: float, kind: Kind = "homography",
-              distortion: bool = False) -> Calibration:
+def calibrate_near_camera(far: ImageSource, near: ImageSource, ratio: float, kind: Kind = "homography",
+                          distortion: bool = False) -> Calibration:
     """Find the mapping that takes positions in the far image to positions in the near image.
 
-    Parameters
-    ----------
-    far, near : ImageSource
-        One picture of each camera; the near one may be turned by 5 degrees.
-    ratio : float
-        Rough near px per far px, right within 15 %.
-    kind : {"translation", "similarity", "homography"}, optional
-        What the mapping may be; a translation keeps the ratio as given.
-    distortion : bool, optional
-        Also find k1.
-
-    Returns
-    -------
-    Calibration
-        The mapping and how well it is known.
-
-    Raises
-    ------
-    InputError
-        Where the ratio cannot be right, an image has no texture, the two show nothing in common, or the near image
-        does not lie in the far one.
+    The near image may be turned by 5 degrees; ``ratio`` is about its px per far px, right within 15 %. ``kind`` says
+    what the mapping may be: a translation keeps the ratio as given. ``distortion`` asks for k1 too. Raises InputError
+    where the ratio cannot be right, an image has no texture, the two show nothing in common, or the near image does not
+    lie in the far one.
     """
     _check_sizes(far, near, ratio)
     whole = Window(0, 0, far.width, far.height)
@@ -428,7 +369,7 @@ class _Pair:
     def locate(self, ratio: float, n_tiles: int | None) -> tuple[Registration | None, float]:
         """The registration from the first tile that leads to one, and the best coefficient met on the way."""
         best = 0.0
-        search = prepare_search(self.far, self.near, ratio)
+        search = TileSearch.prepare(self.far, self.near, ratio)
         matches = search.find_matches(fixed=self.kind == "translation")
         for match in islice(matches, n_tiles):
             if match.coefficient < _LEAST_START:
@@ -574,14 +515,13 @@ def _describe(found: Registration, far_size: tuple[int, int], near_size: tuple[i
     grid = mapping.to_specimen(np.column_stack([x.ravel(), y.ravel()]))
 
     def describe_similarity(parameters: Array) -> Array:
-        similarity, _ = fit_similarity(model.build_mapping(parameters), grid)
-        return _similarity_of(similarity)
+        return _similarity_of(fit_similarity(model.build_mapping(parameters), grid)[0])
 
     def list_homography(parameters: Array) -> Array:
         return model.build_mapping(parameters).homography.ravel()
 
-    ratio, rotation, x0, y0 = describe_similarity(found.parameters)
-    _, rest = fit_similarity(mapping, grid)
+    similarity, rest = fit_similarity(mapping, grid)
+    ratio, rotation, x0, y0 = _similarity_of(similarity)
     distances = np.hypot(*rest.T)
     return Calibration(
         mapping=mapping,

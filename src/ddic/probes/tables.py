@@ -127,23 +127,16 @@ def _list_rows(record: ProbeRecord) -> Iterator[list[str]]:
     reading, probe, size = record.reading, record.reading.probe, record.unit.size
     is_line = isinstance(probe, LineProbe)
     length = math.nan if isinstance(probe, PointProbe | LineProbe) else size * probe.length
-    about = _list_metrology(record)
+    known = record.metrology
+    about = [size * known.displacement_noise, size * known.displacement_resolution,
+             size**2 * known.displacement_indicator, known.strain_noise, size * known.strain_resolution,
+             size**2 * known.strain_indicator]
+    note = "; ".join(filter(None, (reading.note, known.note)))
     for k, point in enumerate(reading.points):
         numbers = [size * reading.distance[k] if is_line else math.nan, *(size * point), length,
                    *(size * reading.displacement[k]), *reading.strain[k], reading.along[k], *about]
         yield [format_number(record.time), record.result, probe.name, KINDS[type(probe)],
-               *map(format_number, numbers), _join_notes(record)]
-
-
-def _list_metrology(record: ProbeRecord) -> list[float]:
-    known, size = record.metrology, record.unit.size
-    return [size * known.displacement_noise, size * known.displacement_resolution,
-            size**2 * known.displacement_indicator, known.strain_noise, size * known.strain_resolution,
-            size**2 * known.strain_indicator]
-
-
-def _join_notes(record: ProbeRecord) -> str:
-    return "; ".join(note for note in (record.reading.note, record.metrology.note) if note)
+               *map(format_number, numbers), note]
 
 
 def format_number(value: float) -> str:
