@@ -88,7 +88,7 @@ def test_no_deformed_mesh_is_drawn_where_nothing_was_measured(part: Result) -> N
     with pytest.raises(InputError, match=r"part\.vtkhdf: no cell was measured"):
         draw_deformed(nothing)
     # Others have a page without colours.
-    blank = draw_values(part.mesh, [Values("none", "u", nothing.displacement[:, 0])], None, PIXELS, None)
+    blank = draw_values(part.mesh, [Values("none", "u", nothing.displacement[:, 0])], None, PIXELS, [None])
     assert all((colour == 255).all() for colour in _look(blank, (*HOLLOW, *FULL)))
 
 

@@ -60,12 +60,22 @@ def read_array(dataset: Any) -> NDArray[Any]:
     return np.asarray(dataset[...])
 
 
-def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> None:
-    """Refuse pieces of a mesh that do not fit together, by a ValueError with what does not.
+def require_sound_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[Any],
+                         point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse pieces of a mesh and their fields that do not fit together, by a ValueError with what does not.
 
-    ``grid`` holds the (n,) arrays NumberOfPoints, NumberOfCells, NumberOfConnectivityIds, Offsets, Connectivity and
-    Types; ``n_stored`` is the number of points of all pieces.
+    ``grid`` holds the (n,) arrays of TOPOLOGY, ``points`` are those of all pieces, (n_points, 3); fields are (n,),
+    (n, 3) or (n, 6) arrays by name.
     """
+    _require_fitting_pieces(grid, len(points))
+    _require_sound_cells(grid)
+    _require_sound_fields({"Points": points, **point_data}, len(points))
+    _require_sound_fields(cell_data, len(grid["Types"]))
+    _require_sound_ids(point_data, cell_data)
+
+
+def _require_fitting_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> None:
+    """Refuse sizes of pieces that are not those of the arrays; n_stored: points of all pieces."""
     n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     for name, values in grid.items():
         if values.ndim != 1 or values.dtype.kind not in "iu":
@@ -80,7 +90,6 @@ def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> Non
             raise ValueError(f"{name}: {found} rows, {expected} expected")
     if not n_cells.sum():
         raise ValueError("no cells")
-    _require_sound_cells(grid)
 
 
 def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
@@ -101,11 +110,8 @@ def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
         raise ValueError("Offsets: cells have other numbers of nodes than their types")
 
 
-def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> None:
-    """Refuse fields that are not numbers, or have not a row for each place; the ValueError names the field.
-
-    ``fields`` are (n_rows,), (n_rows, 3) or (n_rows, 6) arrays by name.
-    """
+def _require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> None:
+    """Refuse fields that are not numbers, or have not a row for each place."""
     for name, values in fields.items():
         counts = _COMPONENTS.get(name, _ANY_COMPONENTS)
         shapes = [(n_rows,) if count == 1 else (n_rows, count) for count in counts]
@@ -114,11 +120,8 @@ def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> Non
                              f"{' or '.join(map(str, counts))} numbers expected")
 
 
-def require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse numbers of nodes, cells, subdomains and cameras that are none, by a ValueError.
-
-    The fields are those of all pieces: (n,), (n, 3) or (n, 6) arrays by name.
-    """
+def _require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse numbers of nodes, cells, subdomains and cameras that are none."""
     nodes, cells = point_data[schema.GLOBAL_NODE_ID], cell_data[schema.GLOBAL_CELL_ID]
     for name, numbers in ((schema.GLOBAL_NODE_ID, nodes), (schema.GLOBAL_CELL_ID, cells)):
         if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or _least(numbers) < 0:

@@ -20,18 +20,8 @@ from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.io.image_formats import (
-    PixelFormat,
-    can_decode,
-    caught_messages,
-    check_claimed_size,
-    check_decoded_size,
-    describe_other_compression,
-    is_tiff,
-    read_tiff,
-    read_tiff_format,
-    to_grey,
-)
+from ddic.io import image_formats as formats
+from ddic.io.image_formats import PixelFormat
 from ddic.io.input_file import require_file
 
 if TYPE_CHECKING:
@@ -80,14 +70,14 @@ def _convert_to_grey(pixels: NDArray[Any], layout: PixelFormat) -> NDArray[Any]:
     """Grey levels (height, width) of decoded pixels."""
     # OpenCV orders colours blue, green, red.
     red_first = pixels[..., 2::-1] if layout.n_colours == 3 else pixels
-    return to_grey(red_first, layout.n_colours)
+    return formats.to_grey(red_first, layout.n_colours)
 
 
 def _decode(path: Path) -> NDArray[Any]:
     """All pixels (height, width, n_channels) as OpenCV orders them."""
     _check_header(path)
     reason = ""
-    with caught_messages() as messages:
+    with formats.caught_messages() as messages:
         try:
             # Without this flag OpenCV silently cuts 16 bits to 8 and turns colour about.
             pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -131,8 +121,8 @@ def _check_header(path: Path) -> None:
     if width * height > MOST_PIXELS_OF_A_BYTE[magic] * n_bytes:
         raise InputError(f"{path}: damaged: its header claims {width} x {height} px, which a file of {n_bytes} bytes "
                          "cannot hold; copy or save it again")
-    check_claimed_size(path, width, height)
-    check_decoded_size(path, width, height)
+    formats.check_claimed_size(path, width, height)
+    formats.check_decoded_size(path, width, height)
 
 
 def _find_magic(path: Path) -> bytes | None:
@@ -198,7 +188,7 @@ class ImageFile:
         """
         if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
             raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
-        reader = read_tiff if self.windowed else _read_decoded
+        reader = formats.read_tiff if self.windowed else _read_decoded
         return reader(self.path, self.layout, window)
 
 
@@ -234,14 +224,14 @@ def _open(path: Path) -> tuple[ImageFile, NDArray[Any] | None]:
     """An image, and its decoded pixels where the file cannot be read window by window."""
     require_file(path, "image file")
     try:
-        tiff = is_tiff(path)
+        tiff = formats.is_tiff(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
     # Some compressions need codecs that tifffile lacks: OpenCV decodes those, whole but with all their bits.
-    windowed = tiff and can_decode(path)
+    windowed = tiff and formats.can_decode(path)
     pixels = None
     if windowed:
-        layout = read_tiff_format(path)
+        layout = formats.read_tiff_format(path)
     else:
         pixels = _decode_tiff(path) if tiff else _decode(path)
         layout = _format(pixels)
@@ -257,7 +247,7 @@ def compute_sha256(path: Path | str) -> str:
 
 def _decode_tiff(path: Path) -> NDArray[Any]:
     """All pixels of a TIFF as OpenCV orders them; where there are none, the error says what to do about it."""
-    other = describe_other_compression(path)
+    other = formats.describe_other_compression(path)
     if other is not None:
         raise InputError(f"{path}: no codec is installed for the compression of this TIFF ({other}); save it again as "
                          "uncompressed TIFF, or install imagecodecs")

@@ -1,13 +1,10 @@
-"""Meshes read from files in any format that meshio knows.
-
-A mesh with its fields, as other libraries hold them.
-"""
+"""Meshes read from files in any format that meshio knows."""
 
 from __future__ import annotations
 
 import io
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -127,49 +124,3 @@ def _point_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Nodes of meshio's point sets."""
     for name, members in raw.point_sets.items():
         yield name, np.asarray(members, dtype=np.int64).ravel()
-
-
-Fields = Mapping[str, NDArray[Any]]
-
-
-def to_meshio(mesh: Mesh, point_data: Fields, cell_data: Fields) -> Any:
-    """Make a meshio mesh, whose ``write`` knows some forty formats; pixels, y down.
-
-    Fields are (n_nodes, ...) and (n_cells, ...) arrays by name. Points are (n_nodes, 3) with z = 0; there is a block of
-    cells for each cell type, so that cells and their data are sorted by type where the mesh mixes them.
-    """
-    import meshio
-
-    blocks = mesh.cell_blocks
-    return meshio.Mesh(
-        _points_in_space(mesh),
-        [(block.type.meshio_name, block.nodes) for block in blocks],
-        point_data=dict(point_data),
-        cell_data={name: [values[block.cells] for block in blocks] for name, values in cell_data.items()},
-    )
-
-
-def to_pyvista(mesh: Mesh, point_data: Fields, cell_data: Fields) -> Any:
-    """Make a PyVista grid, to look at in a notebook; pixels, y down, cells in the mesh's order.
-
-    Fields are (n_nodes, ...) and (n_cells, ...) arrays by name. Points are (n_nodes, 3) with z = 0. Raises InputError
-    where PyVista is not installed.
-    """
-    try:
-        import pyvista
-    except ImportError as error:
-        raise InputError("PyVista is not installed here: pip install pyvista") from error
-    # VTK's list of cells: the number of a cell's nodes, then its nodes, cell after cell.
-    counts = np.diff(mesh.offsets)
-    cells = np.insert(mesh.connectivity, mesh.offsets[:-1], counts)
-    grid = pyvista.UnstructuredGrid(cells, mesh.types, _points_in_space(mesh))
-    for name, values in point_data.items():
-        grid.point_data[name] = values
-    for name, values in cell_data.items():
-        grid.cell_data[name] = values
-    return grid
-
-
-def _points_in_space(mesh: Mesh) -> NDArray[np.float64]:
-    """Nodes with the coordinates that the mesh does not have set to 0, (n_nodes, 3)."""
-    return np.pad(mesh.nodes, ((0, 0), (0, 3 - mesh.dim)))

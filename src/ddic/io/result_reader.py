@@ -14,22 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import (
-    READ_ERRORS,
-    describe_damage,
-    open_hdf5,
-    read_array,
-    require_sound_attributes,
-    require_sound_fields,
-    require_sound_ids,
-    require_sound_pieces,
-    require_sound_products,
-    require_sound_tables,
-    require_sound_values,
-)
+from ddic.io.damaged_result import READ_ERRORS, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import as_path, require_file
-from ddic.io.mesh_file import to_meshio, to_pyvista
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
@@ -145,29 +133,52 @@ class Result:
         return interpolate(self.mesh, self.displacement, positions)
 
     def to_meshio(self) -> Any:
-        """Make a meshio mesh with all fields.
+        """Make a meshio mesh with all fields, whose ``write`` knows some forty formats.
 
         Returns
         -------
         meshio.Mesh
-            Pixels, y down; vectors of three components; a block of cells for each cell type.
+            Pixels, y down; vectors of three components; a block of cells for each cell type, so that cells and their
+            data are sorted by type where the mesh mixes them.
         """
-        return to_meshio(self.mesh, self.point_data, self.cell_data)
+        import meshio
+
+        blocks = self.mesh.cell_blocks
+        return meshio.Mesh(
+            self._points_in_space,
+            [(block.type.meshio_name, block.nodes) for block in blocks],
+            point_data=dict(self.point_data),
+            cell_data={name: [values[block.cells] for block in blocks] for name, values in self.cell_data.items()},
+        )
 
     def to_pyvista(self) -> Any:
-        """Make a PyVista grid with all fields.
+        """Make a PyVista grid with all fields, to look at in a notebook.
 
         Returns
         -------
         pyvista.UnstructuredGrid
-            Pixels, y down; vectors of three components.
+            Pixels, y down; vectors of three components; cells in the mesh's order.
 
         Raises
         ------
         InputError
             Where PyVista is not installed.
         """
-        return to_pyvista(self.mesh, self.point_data, self.cell_data)
+        try:
+            import pyvista
+        except ImportError as error:
+            raise InputError("PyVista is not installed here: pip install pyvista") from error
+        # VTK's list of cells: the number of a cell's nodes, then its nodes, cell after cell.
+        cells = np.insert(self.mesh.connectivity, self.mesh.offsets[:-1], np.diff(self.mesh.offsets))
+        grid = pyvista.UnstructuredGrid(cells, self.mesh.types, self._points_in_space)
+        grid.point_data.update(self.point_data)
+        grid.cell_data.update(self.cell_data)
+        return grid
+
+    @property
+    def _points_in_space(self) -> NDArray[np.float64]:
+        """Nodes with the coordinates that the mesh does not have set to 0, (n_nodes, 3)."""
+        return np.pad(self.mesh.nodes, ((0, 0), (0, 3 - self.mesh.dim)))
 
     @cached_property
     def residual_image(self) -> NDArray[np.float32] | None:
@@ -315,21 +326,18 @@ def read_open_file(path: Path, file: Any, *, with_image: bool = False) -> Result
     points = _unflipped(read_array(file[schema.VTKHDF]["Points"]), flipped)
     point_data = _fields(file[schema.POINT_DATA], flipped)
     cell_data = _fields(file[schema.CELL_DATA], flipped)
-    require_sound_pieces(grid, len(points))
-    require_sound_fields({"Points": points, **point_data}, len(points))
-    require_sound_fields(cell_data, len(grid["Types"]))
-    require_sound_ids(point_data, cell_data)
+    damage.require_sound_pieces(grid, points, point_data, cell_data)
     mesh, point_rows, cell_rows = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID],
                                                cell_data[schema.GLOBAL_CELL_ID])
     at_nodes = {name: values[point_rows] for name, values in point_data.items()}
     on_cells = {name: values[cell_rows] for name, values in cell_data.items()}
     displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
-    require_sound_values(mesh, displacement)
+    damage.require_sound_values(mesh, displacement)
     attributes = {name: dict(file[name].attrs) for name in file if schema.has_attributes(name)}
-    require_sound_attributes(attributes)
+    damage.require_sound_attributes(attributes)
     tables = {group: _arrays(file, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
                                                         schema.PHASES)}
-    require_sound_tables(tables)
+    damage.require_sound_tables(tables)
     result = Result(
         path=path,
         mesh=mesh,
@@ -357,7 +365,7 @@ def _read_separated(file: Any) -> SeparatedField | None:
     data = _arrays(file, schema.SEPARATED)
     if not data:
         return None
-    require_sound_products(data)
+    damage.require_sound_products(data)
     along_x, along_y = LineElements(data["nodes_x"]), LineElements(data["nodes_y"])
     return SeparatedField(along_x, along_y, data["amplitudes"], data["x"], data["y"])
 

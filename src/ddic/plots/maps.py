@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import Collection, LineCollection
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -150,15 +150,12 @@ class Values:
         At the nodes, or on the cells.
     by_cell : bool
         Whether they are on the cells.
-    limits : (float, float) or None
-        Of its colours; None where they are those of its values, or of all panels.
     """
 
     title: str
     label: str
     values: NDArray[np.float64]
     by_cell: bool = False
-    limits: Limits | None = None
 
 
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
@@ -167,23 +164,23 @@ def draw_displacement(result: Result, image: Preview | None = None, component: C
     shown = Values(f"Displacement {canvas.format_component('u', component)}",
                    canvas.label_component("u", component, unit),
                    unit.size * canvas.pick_component(result.displacement, component))
-    return draw_values(result.mesh, [shown], image, unit, limits)
+    return draw_values(result.mesh, [shown], image, unit, [limits])
 
 
 def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit: LengthUnit,
-                limits: Limits | None) -> Figure:
+                limits: Sequence[Limits | None]) -> Figure:
     """Draw panels of values on one mesh, over the image where it is given.
 
-    ``limits`` are those of the colours of all panels that have none of their own; a panel's values tell them where that
-    is None too.
+    ``limits`` are those of the colours of each panel; where they are None its values tell them.
     """
     nodes = unit.size * mesh.nodes
     bounds = canvas.find_mesh_bounds(nodes, MARGIN)
     if image is not None:
         bounds = image.clip(bounds, unit.size)
     figure, panels = canvas.make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
-    for axes, panel in zip(panels, shown, strict=True):
-        colours = _add_colours(axes, mesh, nodes, panel, canvas.choose_limits(panel.values, panel.limits or limits))
+    for axes, panel, asked in zip(panels, shown, limits, strict=True):
+        draw = canvas.draw_cell_colours if panel.by_cell else canvas.draw_nodal_colours
+        colours = draw(axes, mesh, nodes, panel.values, canvas.choose_limits(panel.values, asked))
         if image is not None:
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
             image.draw(axes, unit.size)
@@ -191,13 +188,6 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
             canvas.set_bounds(axes, bounds)
         canvas.add_colour_bar(figure, axes, colours, panel.label)
     return figure
-
-
-def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], panel: Values, limits: Limits) -> Collection:
-    """Colours by node, interpolated, or by cell; nodes: in the axes' unit."""
-    if not panel.by_cell:
-        return canvas.draw_nodal_colours(axes, mesh, nodes, panel.values, limits)
-    return canvas.draw_cell_colours(axes, mesh, nodes, panel.values, limits)
 
 
 AROUND = 0.12
@@ -283,9 +273,7 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
     has no strain at nodes.
     """
     panels = list_strain_panels(result, choice)
-    if of_panels is not None:
-        panels = [replace(panel, limits=own) for panel, own in zip(panels, of_panels, strict=True)]
-    return draw_values(result.mesh, panels, image, unit, limits)
+    return draw_values(result.mesh, panels, image, unit, of_panels or [limits] * len(panels))
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
