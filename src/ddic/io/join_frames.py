@@ -121,7 +121,11 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
                 for kind, values in ((schema.POINT_DATA, frame.point_data), (schema.CELL_DATA, frame.cell_data)):
                     fields[kind].add(values, source[kind])
                 times.append(float(source[schema.TIME].attrs["deformed"]))
-                _copy_rest(source, file.create_group(schema.frame_group(number)))
+                # What is neither geometry nor field, nor needed by later frames only.
+                rest = file.create_group(schema.frame_group(number))
+                for name in sorted(source.keys() - {schema.VTKHDF, schema.SERIES}):
+                    source.copy(name, rest)
+                schema.copy_attributes(source, rest, schema.OF_STATUS)
         steps = group.create_group("Steps")
         steps.attrs["NSteps"] = len(times)
         steps["Values"] = np.array(times)
@@ -155,7 +159,8 @@ class _GrowingGeometry:
         stays = self._last is not None and has_same_geometry(frame, self._last)
         for name, counted in _STARTS.items():
             starts = self._starts[name]
-            starts.append(starts[-1] if stays else _count_rows(self._group, counted))
+            n_before = len(self._group[counted]) if counted in self._group else 0
+            starts.append(starts[-1] if stays else n_before)
         self._n_parts.append(len(frame.geometry["NumberOfPoints"]))
         if not stays:
             for name in GEOMETRY:
@@ -216,10 +221,6 @@ def _make_unknown(like: NDArray[Any], n_rows: int) -> NDArray[Any]:
     return np.full((n_rows, *like.shape[1:]), np.nan if like.dtype.kind == "f" else 0, dtype=like.dtype)
 
 
-def _count_rows(group: Any, name: str) -> int:
-    return len(group[name]) if name in group else 0
-
-
 def _append(group: Any, name: str, values: NDArray[Any], described: Any) -> None:
     """Write values behind those of a dataset, which is made where there is none yet, with the attributes of another."""
     if name not in group:
@@ -233,11 +234,3 @@ def _append(group: Any, name: str, values: NDArray[Any], described: Any) -> None
     n_before = len(dataset)
     dataset.resize(n_before + len(values), axis=0)
     dataset[n_before:] = values
-
-
-def _copy_rest(source: Any, target: Any) -> None:
-    """Copy what is neither geometry nor field, nor needed by later frames only."""
-    for name in source:
-        if name not in (schema.VTKHDF, schema.SERIES):
-            source.copy(name, target)
-    schema.copy_attributes(source, target, schema.OF_STATUS)

@@ -6,6 +6,7 @@ import io
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -93,11 +94,10 @@ def _plane_points(name: str, points: NDArray[np.float64],
 def _node_sets(raw: Any) -> dict[str, NDArray[np.int64]]:
     """Node sets of all kinds by name, sorted, without empty ones."""
     gathered: dict[str, list[NDArray[np.int64]]] = {}
-    for source in (_physical_groups(raw), _cell_sets(raw), _point_sets(raw)):
-        for name, nodes in source:
-            gathered.setdefault(name, []).append(nodes)
+    for name, nodes in chain(_physical_groups(raw), _cell_sets(raw), raw.point_sets.items()):
+        gathered.setdefault(name, []).append(np.asarray(nodes, dtype=np.int64).ravel())
     sets = {name: np.unique(np.concatenate(parts)) for name, parts in gathered.items()}
-    return {name: nodes.astype(np.int64) for name, nodes in sets.items() if len(nodes)}
+    return {name: nodes for name, nodes in sets.items() if len(nodes)}
 
 
 def _physical_groups(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
@@ -106,7 +106,7 @@ def _physical_groups(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
     for block, of_cells in zip(raw.cells, tags, strict=len(tags) > 0):
         for name, (tag, dimension) in raw.field_data.items():
             if NAMING_CELLS.get(block.type) == dimension:
-                yield name, np.asarray(block.data)[np.asarray(of_cells) == tag].ravel()
+                yield name, np.asarray(block.data)[np.asarray(of_cells) == tag]
 
 
 def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
@@ -117,10 +117,4 @@ def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
             continue
         for block, of_block in zip(raw.cells, members, strict=True):
             if block.type in NAMING_CELLS and of_block is not None:
-                yield name, np.asarray(block.data)[np.asarray(of_block, dtype=np.int64)].ravel()
-
-
-def _point_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """Nodes of meshio's point sets."""
-    for name, members in raw.point_sets.items():
-        yield name, np.asarray(members, dtype=np.int64).ravel()
+                yield name, np.asarray(block.data)[np.asarray(of_block, dtype=np.int64)]

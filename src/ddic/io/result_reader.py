@@ -333,7 +333,8 @@ def read_open_file(path: Path, file: Any, *, with_image: bool = False) -> Result
     on_cells = {name: values[cell_rows] for name, values in cell_data.items()}
     displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
     damage.require_sound_values(mesh, displacement)
-    attributes = {name: dict(file[name].attrs) for name in file if schema.has_attributes(name)}
+    attributes = {name: dict(file[name].attrs) for name in file
+                  if name in schema.ATTRIBUTE_GROUPS or name.startswith(schema.NEAR_PREFIX)}
     damage.require_sound_attributes(attributes)
     tables = {group: _arrays(file, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
                                                         schema.PHASES)}

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ddic.separated.field import SeparatedField
-
 SCHEMA_VERSION = "1.7"
 VERSION, Y_AXIS = OF_FORMAT = "ddic_schema", "y_axis"
 VTKHDF_VERSION = (2, 0)
@@ -192,17 +190,6 @@ def list_all_fields() -> tuple[FieldSpec, ...]:
             *uncertainty_cell_fields())
 
 
-def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.float64], str, str]]:
-    """List the datasets of a separated displacement by name: values, unit, description."""
-    return {
-        "nodes_x": (field.along_x.nodes, "px", "nodes of the functions of x"),
-        "nodes_y": (field.along_y.nodes, "px", "nodes of the functions of y, down"),
-        "amplitudes": (field.amplitudes, "px", "RMS displacement of each mode (n_modes, 2), of u_x and of u_y"),
-        "x": (field.x, "1", "functions of x at their nodes (n_modes, 2, n_x), of mean square 1"),
-        "y": (field.y, "1", "functions of y at their nodes (n_modes, 2, n_y), of mean square 1"),
-    }
-
-
 def begin_file(file: Any, *, flipped: bool) -> None:
     """Note by which schema a file is written, and whether its y is up (``flipped``) or down."""
     file.attrs[VERSION] = SCHEMA_VERSION
@@ -237,14 +224,6 @@ def parse_case(attributes: Mapping[str, Mapping[str, Any]]) -> Any:
 def near_group(camera: int) -> str:
     """Name the group with what is known of a near-field set-up, numbered from 1: ``near_1``, ``near_2``, ..."""
     return f"{NEAR_PREFIX}{camera}"
-
-
-def has_attributes(group: str) -> bool:
-    """Tell whether a group's attributes are part of the result.
-
-    Those of ATTRIBUTE_GROUPS and of near-field set-ups are.
-    """
-    return group in ATTRIBUTE_GROUPS or group.startswith(NEAR_PREFIX)
 
 
 def residual_group(camera: int) -> str:

@@ -233,7 +233,13 @@ class ResultWriter:
     def write_separated(self, field: SeparatedField) -> None:
         """Write the products that a displacement is a sum of, in the image's axes whatever the mesh's are."""
         target = self._file.require_group(schema.SEPARATED)
-        for name, (values, unit, description) in schema.describe_separated(field).items():
+        for name, values, unit, description in (
+            ("nodes_x", field.along_x.nodes, "px", "nodes of the functions of x"),
+            ("nodes_y", field.along_y.nodes, "px", "nodes of the functions of y, down"),
+            ("amplitudes", field.amplitudes, "px", "RMS displacement of each mode (n_modes, 2), of u_x and of u_y"),
+            ("x", field.x, "1", "functions of x at their nodes (n_modes, 2, n_x), of mean square 1"),
+            ("y", field.y, "1", "functions of y at their nodes (n_modes, 2, n_y), of mean square 1"),
+        ):
             target[name] = values
             target[name].attrs.update(unit=unit, description=description)
 

@@ -40,19 +40,15 @@ def write_physical_sidecar(result: Path, source: Any, files: NewFiles) -> None:
         group = schema.create_vtk_group(file, "UnstructuredGrid")
         for name in schema.TOPOLOGY:
             group[name] = _link(result, f"{schema.VTKHDF}/{name}")
-        _scale_points(source[schema.VTKHDF]["Points"], group, float(units["pixel_size"]))
-        group["Points"].attrs["unit"] = units["length_unit"]
+        points, factor = source[schema.VTKHDF]["Points"], float(units["pixel_size"])
+        scaled = group.create_dataset("Points", points.shape, points.dtype)
+        for begin in range(0, len(points), ROWS):
+            scaled[begin:begin + ROWS] = factor * points[begin:begin + ROWS]
+        scaled.attrs["unit"] = units["length_unit"]
         if schema.STEPS in source:
             group["Steps"] = _link(result, schema.STEPS)
         _link_fields(result, source[schema.POINT_DATA], group.create_group("PointData"))
         _link_fields(result, source[schema.CELL_DATA], group.create_group("CellData"))
-
-
-def _scale_points(points: Any, group: Any, factor: float) -> None:
-    """Copy points some rows at a time, times a factor."""
-    scaled = group.create_dataset("Points", points.shape, points.dtype)
-    for begin in range(0, len(points), ROWS):
-        scaled[begin:begin + ROWS] = factor * points[begin:begin + ROWS]
 
 
 def _link_fields(result: Path, fields: Any, group: Any) -> None:

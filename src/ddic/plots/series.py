@@ -66,7 +66,9 @@ def draw_time_curves(history: SeriesHistory, name: str, unit: LengthUnit = PIXEL
 def _set_up_panel(axes: Axes, history: SeriesHistory) -> None:
     """Marks of frames that were not measured, a grid, numbers, and the legend where there are several curves."""
     n_curves = len(axes.get_legend_handles_labels()[1])
-    _mark_failures(axes, history)
+    for number, time in enumerate(history.times[~history.is_measured]):
+        axes.axvline(time, color=canvas.FAILURE_COLOUR, linestyle="--", linewidth=1.0,
+                     label="not measured" if number == 0 else None)
     axes.grid(alpha=0.25)
     canvas.write_powers_of_ten(axes.yaxis)
     if n_curves:
@@ -103,12 +105,6 @@ def _draw_curve(axes: Axes, history: SeriesHistory, values: Array, colour: str, 
     """Values of each frame; the curve is broken where one was not measured."""
     size = 3.5 if len(history.times) <= MOST_MARKERS else 1.5
     axes.plot(history.times, values, "o-", markersize=size, color=colour, linewidth=1.4, label=label or None)
-
-
-def _mark_failures(axes: Axes, history: SeriesHistory) -> None:
-    for number, time in enumerate(history.times[~history.is_measured]):
-        axes.axvline(time, color=canvas.FAILURE_COLOUR, linestyle="--", linewidth=1.0,
-                     label="not measured" if number == 0 else None)
 
 
 N_GREYS, N_OF_SCALE = 32, 128

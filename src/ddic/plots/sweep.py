@@ -87,11 +87,6 @@ def _place(lengths: Array) -> Array:
     return np.where(lengths > 0, lengths, left)
 
 
-def _pick(n: int) -> list[int]:
-    """Numbers of at most MOST_LABELS of n things, first and last among them."""
-    return sorted({int(k) for k in np.rint(np.linspace(0, n - 1, min(n, MOST_LABELS)))})
-
-
 def _annotate(axes: Axes, swept: Sequence[SweptElements]) -> None:
     """Write wavelengths at the points of the first curve."""
     first = next((of_size for of_size in swept if np.isfinite(of_size.residuals * of_size.gaps).any()), None)
@@ -127,7 +122,9 @@ def _finish(corner: Axes, residual: Axes, error: Axes, lengths: tuple[Array, Arr
     # Room for the numbers at the ends.
     corner.margins(x=0.14)
     wavelengths, places = lengths
-    chosen = _pick(len(places))
+    # At most MOST_LABELS, the first and the last among them.
+    n = len(places)
+    chosen = sorted({int(k) for k in np.rint(np.linspace(0, n - 1, min(n, MOST_LABELS)))})
     for axes in (residual, error):
         axes.set_xlabel("cut-off wavelength l_c [px]")
         axes.set_xticks(places[chosen], [f"{wavelengths[k]:g}" if wavelengths[k] else "none" for k in chosen],

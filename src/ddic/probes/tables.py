@@ -83,14 +83,14 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
     list of ProbeRecord
         All probes at the first time, then at the next one.
     """
-    records = [ProbeRecord(find_time(result), result.path.name, measure_probe(result, probe, measure),
+    records = [ProbeRecord(_find_time(result), result.path.name, measure_probe(result, probe, measure),
                            estimate_metrology(result, probe, noise), find_length_unit(result))
                for result in results for probe in probes]
     return sorted(records, key=lambda record: record.time)
 
 
-def find_time(result: Result) -> float:
-    """Find the time of a result's deformed image, as the case gives it; nan where the file says none."""
+def _find_time(result: Result) -> float:
+    """The time of a result's deformed image, as the case gives it; nan where the file says none."""
     return float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
 
 
