@@ -23,6 +23,8 @@ from ddic.images.spline import GradientImage, read_gradient
 from ddic.images.window import Window
 from ddic.mesh.plane import build_rotation
 
+Array = NDArray[np.float64]
+
 RATIO_RANGE = 0.15
 """Relative error of the given ratio that the search covers; a larger one takes longer, for steps are shares of it."""
 
@@ -102,7 +104,7 @@ class TileSearch:
     """
 
     far: Grey
-    power: NDArray[np.float64]
+    power: Array
     reduced: Grey
     scale: tuple[float, float]
     ratio: float
@@ -156,7 +158,7 @@ class TileSearch:
                 chosen.append((x, y))
         return chosen[:_TILES]
 
-    def _weaker_gradient(self) -> NDArray[np.float64]:
+    def _weaker_gradient(self) -> Array:
         """Mean square of the gradient in its weaker direction over the tile about each place of the reduced image."""
         by_y, by_x = np.gradient(self.reduced)
         tile = (self.side, self.side)
@@ -206,7 +208,7 @@ class TileSearch:
         mapping = similarity(ratio, degrees, (float(offset[0]), float(offset[1])))
         return Match(mapping, float(coefficients[row, column]), (x, y), self.side * ratio)
 
-    def _turned_tile(self, centre: tuple[float, float], matrix: NDArray[np.float64]) -> Grey:
+    def _turned_tile(self, centre: tuple[float, float], matrix: Array) -> Grey:
         """The tile about a place of the reduced image, as the far image shows it; matrix: far to near px."""
         turned = matrix / np.array(self.scale)[:, None]
         half = (self.side - 1) / 2
@@ -216,7 +218,7 @@ class TileSearch:
         return np.asarray(tile)
 
 
-def correlate_template(image: Grey, power: NDArray[np.float64], template: Grey) -> NDArray[np.float64]:
+def correlate_template(image: Grey, power: Array, template: Grey) -> Array:
     """Correlate a template (rows, columns) with each window of an image of its size (zero-mean, normalised).
 
     ``power``, (height - rows + 1, width - columns + 1), is of the image's windows, from ``sum_window_squares``. Of that
@@ -232,7 +234,7 @@ def correlate_template(image: Grey, power: NDArray[np.float64], template: Grey) 
     return np.where(good, covariance / norm, -1.0)
 
 
-def sum_window_squares(image: Grey, side: int) -> NDArray[np.float64]:
+def sum_window_squares(image: Grey, side: int) -> Array:
     """Sum the squares about the mean of each square window of an image: (height - side + 1, width - side + 1)."""
     sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     total = _sum_windows(sums, side)
@@ -240,22 +242,20 @@ def sum_window_squares(image: Grey, side: int) -> NDArray[np.float64]:
     return np.asarray(square - total**2 / side**2)
 
 
-def _sum_windows(integral: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+def _sum_windows(integral: Array, side: int) -> Array:
     """Sums over windows from sums over all that is left of and above each place."""
     top_left, top_right = integral[:-side, :-side], integral[:-side, side:]
     bottom_left, bottom_right = integral[side:, :-side], integral[side:, side:]
     return np.asarray(bottom_right - top_right - bottom_left + top_left)
 
 
-def _places_along(size: int, margin: float) -> NDArray[np.float64]:
+def _places_along(size: int, margin: float) -> Array:
     """Five places along a side of so many px, a margin from its ends; the middle where there is no room."""
     last = size - 1
     if last <= 2 * margin:
         return np.array([last / 2])
     return np.linspace(margin, last - margin, 5)
 
-
-Array = NDArray[np.float64]
 
 LEAST_COEFFICIENT = 0.5
 """Correlation coefficient below which two pictures are not taken to show the same surface."""

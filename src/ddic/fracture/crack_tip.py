@@ -118,9 +118,8 @@ class Ring:
     outer: float | None = None
 
 
-def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | None = None,
-                   poisson_ratio: float = 0.3, plane: Literal["stress", "strain"] = "stress",
-                   ring: Ring | None = None) -> CrackTip:
+def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | None = None, poisson_ratio: float = 0.3,
+                   plane: Literal["stress", "strain"] = "stress", ring: Ring | None = None) -> CrackTip:
     """Find the tip of a crack along its line, and its stress intensity factors, by a fit of Williams' series.
 
     The term that is more singular than any crack vanishes where the tip is; the tip is moved until it does.

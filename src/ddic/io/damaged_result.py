@@ -23,6 +23,8 @@ from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_shape_quality
 
+Arrays = Mapping[str, NDArray[Any]]
+
 READ_ERRORS = (OSError, RuntimeError, KeyError, ValueError, IndexError, TypeError, AttributeError, ArithmeticError,
                MemoryError)
 """What HDF5, h5py and numpy raise on damaged files; h5py passes on most of HDF5's own as RuntimeError."""
@@ -60,8 +62,7 @@ def read_array(dataset: Any) -> NDArray[Any]:
     return np.asarray(dataset[...])
 
 
-def require_sound_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[Any],
-                         point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
+def require_sound_pieces(grid: Arrays, points: NDArray[Any], point_data: Arrays, cell_data: Arrays) -> None:
     """Refuse pieces of a mesh and their fields that do not fit together, by a ValueError with what does not.
 
     ``grid`` holds the (n,) arrays of TOPOLOGY, ``points`` are those of all pieces, (n_points, 3); fields are (n,),
@@ -74,7 +75,7 @@ def require_sound_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[Any],
     _require_sound_ids(point_data, cell_data)
 
 
-def _require_fitting_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> None:
+def _require_fitting_pieces(grid: Arrays, n_stored: int) -> None:
     """Refuse sizes of pieces that are not those of the arrays; n_stored: points of all pieces."""
     n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     for name, values in grid.items():
@@ -92,7 +93,7 @@ def _require_fitting_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> 
         raise ValueError("no cells")
 
 
-def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
+def _require_sound_cells(grid: Arrays) -> None:
     """Refuse cells with other nodes than their types have, or than their piece has."""
     n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     connectivity, types, offsets = grid["Connectivity"], grid["Types"], grid["Offsets"]
@@ -110,7 +111,7 @@ def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
         raise ValueError("Offsets: cells have other numbers of nodes than their types")
 
 
-def _require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> None:
+def _require_sound_fields(fields: Arrays, n_rows: int) -> None:
     """Refuse fields that are not numbers, or have not a row for each place."""
     for name, values in fields.items():
         counts = _COMPONENTS.get(name, _ANY_COMPONENTS)
@@ -120,7 +121,7 @@ def _require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> No
                              f"{' or '.join(map(str, counts))} numbers expected")
 
 
-def _require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
+def _require_sound_ids(point_data: Arrays, cell_data: Arrays) -> None:
     """Refuse numbers of nodes, cells, subdomains and cameras that are none."""
     nodes, cells = point_data[schema.GLOBAL_NODE_ID], cell_data[schema.GLOBAL_CELL_ID]
     for name, numbers in ((schema.GLOBAL_NODE_ID, nodes), (schema.GLOBAL_CELL_ID, cells)):
@@ -167,7 +168,7 @@ _LISTS = ("discontinuity", "near")
 """Sections of a case of which there may be several."""
 
 
-def require_sound_tables(tables: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
+def require_sound_tables(tables: Mapping[str, Arrays]) -> None:
     """Refuse tables whose columns are no numbers or do not have the same rows; the ValueError names the table.
 
     ``tables`` holds the (n,) columns by name, of each group; those of the Krylov histories have each its own length.
@@ -198,7 +199,7 @@ def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Se
         raise ValueError(f"{schema.SERIES}.numbers: {numbers.tolist()[:3]} and so on, of which not all are told of")
 
 
-def require_sound_products(data: Mapping[str, NDArray[Any]]) -> None:
+def require_sound_products(data: Arrays) -> None:
     """Refuse functions of x and y that make no displacement, by a ValueError.
 
     ``data`` holds nodes, functions and amplitudes of PGD-DIC.

@@ -279,8 +279,7 @@ def _pixel_type(page: Any) -> np.dtype[Any]:
     return np.dtype(np.uint8) if page.dtype.kind == "b" else np.dtype(page.dtype).newbyteorder("=")
 
 
-def _blocks(tiff: Any, page: Any, layout: PixelFormat,
-            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _blocks(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
     if _lies_together(page):
         yield from _bands(tiff, page, layout, window)
@@ -290,8 +289,7 @@ def _blocks(tiff: Any, page: Any, layout: PixelFormat,
         yield from _planes(tiff, page, layout, window)
 
 
-def _bands(tiff: Any, page: Any, layout: PixelFormat,
-           window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _bands(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Rows of the window, read straight from pixels that lie together."""
     stored = _pixel_type(page).newbyteorder(tiff.byteorder)
     row_bytes = layout.width * layout.n_channels * stored.itemsize
@@ -305,8 +303,7 @@ def _bands(tiff: Any, page: Any, layout: PixelFormat,
         yield np.frombuffer(data, stored).reshape(n_rows, layout.width, layout.n_channels), 0, y
 
 
-def _segments(tiff: Any, page: Any, window: Window,
-              numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _segments(tiff: Any, page: Any, window: Window, numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Strips or tiles under the window, decoded one by one; numbers: of those of one plane."""
     height, width = page.rowsperstrip, page.imagewidth
     if page.is_tiled:
@@ -328,8 +325,7 @@ def _segments(tiff: Any, page: Any, window: Window,
         yield block[0], x, y
 
 
-def _planes(tiff: Any, page: Any, layout: PixelFormat,
-            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _planes(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Blocks of colours that the file holds in planes apart."""
     per_plane = len(page.dataoffsets) // layout.n_channels
     planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))

@@ -21,6 +21,8 @@ from ddic.io.result_reader import merge_pieces
 from ddic.io.series_folder import SeriesFolder
 from ddic.io.sidecars import write_physical_sidecar
 
+Arrays = Mapping[str, NDArray[Any]]
+
 GEOMETRY = ("Points", *schema.TOPOLOGY)
 
 
@@ -36,9 +38,9 @@ class StoredFrame:
         Fields by name, a row a point or cell of the pieces.
     """
 
-    geometry: Mapping[str, NDArray[Any]]
-    point_data: Mapping[str, NDArray[Any]]
-    cell_data: Mapping[str, NDArray[Any]]
+    geometry: Arrays
+    point_data: Arrays
+    cell_data: Arrays
 
 
 def read_stored_frame(file: Any) -> StoredFrame:
@@ -186,7 +188,7 @@ class _GrowingFields:
         self._last: dict[str, NDArray[Any]] = {}
         self._n_steps = 0
 
-    def add(self, fields: Mapping[str, NDArray[Any]], described: Any) -> None:
+    def add(self, fields: Arrays, described: Any) -> None:
         """Add those of a step; described: the datasets, whose attributes say what they are."""
         n_rows = len(next(iter(fields.values())))
         for name in sorted({*fields, *self._offsets}):

@@ -23,6 +23,9 @@ from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
 from ddic.separated.field import LineElements, SeparatedField
 
+Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
+
 SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
 
@@ -63,18 +66,18 @@ class Result:
 
     path: Path
     mesh: Mesh
-    displacement: NDArray[np.float64]
-    point_data: Mapping[str, NDArray[Any]]
-    cell_data: Mapping[str, NDArray[Any]]
+    displacement: Array
+    point_data: Arrays
+    cell_data: Arrays
     subdomain_ids: NDArray[np.int64]
-    gauss_newton: Mapping[str, NDArray[Any]]
-    krylov: tuple[NDArray[np.float64], ...]
+    gauss_newton: Arrays
+    krylov: tuple[Array, ...]
     attributes: Mapping[str, Mapping[str, Any]]
     flipped: bool
-    corrections: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    corrections: Arrays = field(default_factory=dict)
     separated: SeparatedField | None = None
     failure: str = ""
-    phases: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    phases: Arrays = field(default_factory=dict)
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -93,7 +96,7 @@ class Result:
         return len(np.unique(self.subdomain_ids))
 
     @property
-    def fields(self) -> Mapping[str, NDArray[Any]]:
+    def fields(self) -> Arrays:
         """All fields by name, those at the nodes first: (n,) scalars, (n, 2) vectors, (n, 6) symmetric tensors."""
         fields = {**self.point_data, **self.cell_data}
         for name, values in fields.items():
@@ -106,7 +109,7 @@ class Result:
         """Whether each node has a displacement, (n_nodes,): those whose cells all were excluded have nan."""
         return np.asarray(np.isfinite(self.displacement).all(axis=1))
 
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array) -> Array:
         """Interpolate the displacement by the shape functions of the cell that holds a point, or sum its products.
 
         Parameters
@@ -176,7 +179,7 @@ class Result:
         return grid
 
     @property
-    def _points_in_space(self) -> NDArray[np.float64]:
+    def _points_in_space(self) -> Array:
         """Nodes with the coordinates that the mesh does not have set to 0, (n_nodes, 3)."""
         return np.pad(self.mesh.nodes, ((0, 0), (0, 3 - self.mesh.dim)))
 
@@ -233,7 +236,7 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
                          ) from error
 
 
-def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def displacement_at(result: Result, points: Array) -> Array:
     """Guess the displacement of a result anywhere, to start another run from it; (n, 2), pixels.
 
     ``Result.at`` is the displacement that was measured; this is a number everywhere, in holes, outside and about nodes
@@ -246,7 +249,7 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     is_measured = result.measured_nodes
     nodes, displacement = result.mesh.nodes[is_measured], result.displacement[is_measured]
     distance, nearest = build_tree(nodes).query(points)
-    values: NDArray[np.float64] = displacement[nearest]
+    values: Array = displacement[nearest]
     apart = distance > SAME_NODE_PX
     if apart.any():
         between = result.at(points[apart])
@@ -257,8 +260,7 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     return values
 
 
-def evaluate_on_sides(result: Result, points: NDArray[np.float64],
-                      beyond: NDArray[np.float64]) -> NDArray[np.float64]:
+def evaluate_on_sides(result: Result, points: Array, beyond: Array) -> Array:
     """Guess the displacement of a result at points beyond a discontinuity, from other points on their own side of it.
 
     ``points``, (n, 2), lie on the side that is asked for, pixels of the reference image; ``beyond``, (n, 2), is where
@@ -381,7 +383,7 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     return image.astype(np.float32, copy=False)
 
 
-def merge_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[np.float64], global_node_ids: NDArray[np.int64],
+def merge_pieces(grid: Arrays, points: Array, global_node_ids: NDArray[np.int64],
                  global_cell_ids: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.intp], NDArray[np.intp]]:
     """Merge the pieces of a file to one mesh, nodes and cells in the order of their numbers in the whole mesh.
 
@@ -397,8 +399,7 @@ def merge_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[np.float64], 
     return _merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order
 
 
-def _merge_mesh(grid: Mapping[str, NDArray[Any]], nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
-                order: NDArray[np.intp]) -> Mesh:
+def _merge_mesh(grid: Arrays, nodes: Array, node_ids: NDArray[np.int64], order: NDArray[np.intp]) -> Mesh:
     """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
     n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     offsets, connectivity = grid["Offsets"], grid["Connectivity"]

@@ -21,6 +21,8 @@ from ddic.io.result_schema import FieldSpec
 from ddic.io.sidecars import write_physical_sidecar, write_sidecar
 from ddic.separated.field import SeparatedField
 
+Arrays = Mapping[str, NDArray[Any]]
+
 CHUNK_CACHE_BYTES = 64 << 20
 
 
@@ -61,8 +63,8 @@ class Piece:
     connectivity: NDArray[np.int64]
     offsets: NDArray[np.int64]
     types: NDArray[np.uint8]
-    point_data: Mapping[str, NDArray[Any]]
-    cell_data: Mapping[str, NDArray[Any]]
+    point_data: Arrays
+    cell_data: Arrays
 
 
 @dataclass(frozen=True)
@@ -224,7 +226,7 @@ class ResultWriter:
         self.write_arrays(group, {f"{number:04d}": np.asarray(curve, np.float64)
                                   for number, curve in enumerate(curves)})
 
-    def write_arrays(self, group: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def write_arrays(self, group: str, arrays: Arrays) -> None:
         """Write arrays by name as they are, of any shapes."""
         target = self._file.require_group(group)
         for name, values in arrays.items():
@@ -298,8 +300,7 @@ class ResultWriter:
             created.attrs.update(unit=field.unit, description=field.description, axes=field.axes)
             self._fields[f"{name}/{field.name}"] = created
 
-    def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Mapping[str, NDArray[Any]],
-                      start: int, length: int) -> None:
+    def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Arrays, start: int, length: int) -> None:
         """Write the fields of a group, rows from ``start`` on; they must be those announced."""
         names = {field.name for field in fields}
         if names != set(arrays):
@@ -323,7 +324,7 @@ def join_pieces(pieces: Sequence[Piece]) -> Piece:
     if len(pieces) == 1:
         return pieces[0]
 
-    def fields(all_of: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    def fields(all_of: Sequence[Arrays]) -> dict[str, NDArray[Any]]:
         return {name: np.concatenate([one[name] for one in all_of]) for name in all_of[0]}
 
     return Piece(np.concatenate([p.points for p in pieces]), np.concatenate([p.connectivity for p in pieces]),

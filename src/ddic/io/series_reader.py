@@ -25,6 +25,8 @@ from ddic.io.result_reader import Result, opened_result, read_open_file, read_re
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_covered_areas
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class SeriesResult:
@@ -43,7 +45,7 @@ class SeriesResult:
     """
 
     path: Path
-    times: NDArray[np.float64]
+    times: Array
     numbers: NDArray[np.int64]
     records: tuple[Mapping[str, Any], ...]
 
@@ -165,8 +167,6 @@ def _extract(file: Any, step: int, number: int, frame: Any) -> None:
             fields[name] = values[begin:begin + n]
             fields[name].attrs.update(dict(values.attrs))
 
-
-Array = NDArray[np.float64]
 
 ROWS = 1 << 18
 """Nodes that are read at a time; a larger value takes more memory."""

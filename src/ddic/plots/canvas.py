@@ -31,6 +31,8 @@ from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 
+Array = NDArray[np.float64]
+
 POINTS_AN_INCH = 72.0
 
 CHARACTER = 0.62
@@ -214,7 +216,7 @@ def set_bounds(axes: Axes, bounds: Bounds) -> None:
     axes.set_ylim(y1, y0)
 
 
-def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> Bounds:
+def find_mesh_bounds(nodes: Array, margin: float = 0.03) -> Bounds:
     """Find the box x0, y0, x1, y1 around nodes (n, 2), pixels, with a margin relative to its longer side."""
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     gap = margin * float((high - low).max())
@@ -244,13 +246,13 @@ def write_powers_of_ten(axis: Axis) -> None:
 def _find_values_beyond(mappable: Any) -> Literal["neither", "min", "max", "both"]:
     """Sides of the colours on which there are values beyond, as matplotlib calls them: the bar has arrows there."""
     # Masked where an image has no value; comparisons with nan are false.
-    values: NDArray[np.float64] = np.ma.getdata(mappable.get_array())  # type: ignore[no-untyped-call]
+    values: Array = np.ma.getdata(mappable.get_array())  # type: ignore[no-untyped-call]
     low, high = mappable.get_clim()
     below, above = bool((values < low).any()), bool((values > high).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
-def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> Limits:
+def choose_limits(values: Array, asked: Limits | None = None) -> Limits:
     """Choose where colours of values (n,) begin and end: as asked, or spanning all that are not nan."""
     if asked is not None:
         return asked
@@ -262,14 +264,14 @@ def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> L
     return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
 
 
-def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
+def make_cell_polygons(mesh: Mesh, nodes: Array, **style: Any) -> PolyCollection:
     """Make polygons of the cells, their nodes drawn at (n_nodes, 2), in a style as matplotlib's collections take it."""
     nodes_of_cells = np.split(mesh.connectivity, mesh.offsets[1:-1])
     corners = [nodes[of_cell] for of_cell in nodes_of_cells]
     return PolyCollection(corners, **style)
 
 
-def draw_cell_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values: NDArray[np.float64], limits: Limits,
+def draw_cell_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, limits: Limits,
                       palette: str = COLOURS) -> PolyCollection:
     """Draw values on cells (n_cells,) in colour, their nodes at (n_nodes, 2)."""
     cells = make_cell_polygons(mesh, nodes, array=values, cmap=palette, edgecolors="face", linewidths=0.1, clim=limits,
@@ -278,8 +280,7 @@ def draw_cell_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values
     return cells
 
 
-def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values: NDArray[np.float64],
-                       limits: Limits) -> TriMesh:
+def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, limits: Limits) -> TriMesh:
     """Draw values at nodes in colour, interpolated; nothing where a cell has a node without one, which is nan."""
     shown = np.zeros(mesh.n_cells, dtype=bool)
     shown[mesh.find_cells_among(np.isfinite(values))] = True
@@ -291,13 +292,13 @@ def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], value
     return colours
 
 
-def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
+def make_triangulation(mesh: Mesh, nodes: Array) -> Triangulation:
     """Cut the cells into triangles on all nodes, which are drawn at (n_nodes, 2)."""
     triangles = [block.nodes[:, corners] for block in mesh.cell_blocks for corners in block.type.triangles]
     return Triangulation(nodes[:, 0], nodes[:, 1], np.concatenate(triangles))
 
 
-def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArray[np.float64]:
+def pick_component(vectors: Array, component: Component) -> Array:
     """Pick one component of vectors (n, 2), or their length, (n,)."""
     if component == "magnitude":
         return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))

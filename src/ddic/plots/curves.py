@@ -26,6 +26,8 @@ from ddic.mesh.interpolation import interpolate
 from ddic.plots.canvas import COLOURS, PIXELS, LengthUnit
 from ddic.separated.field import SeparatedField
 
+Array = NDArray[np.float64]
+
 STYLES = (("-", "o"), ("--", "s"), ("-.", "^"), (":", "v"))
 """Lines and markers: a history of one value is a point."""
 
@@ -39,7 +41,7 @@ LIGHTEST = 0.85
 """Place in the colours of the last iteration or mode, 0 to 1; a larger value is lighter."""
 
 
-def draw_krylov(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
+def draw_krylov(curves: Mapping[str, Sequence[Array]]) -> Figure:
     """Draw the relative residual against the iteration, by label a history for each Gauss-Newton iteration.
 
     Each label has a line style; its Gauss-Newton iterations run through the colours. The label is empty for one result
@@ -80,7 +82,7 @@ def _whole_numbers() -> MaxNLocator:
     return MaxNLocator(integer=True, min_n_ticks=1)
 
 
-def _positive(values: NDArray[Any]) -> NDArray[np.float64]:
+def _positive(values: NDArray[Any]) -> Array:
     """Values that have a logarithm, nan for others."""
     return np.where(values > 0, values, np.nan).astype(np.float64)
 
@@ -172,8 +174,6 @@ def draw_modes(field: SeparatedField) -> Figure:
     return figure
 
 
-Array = NDArray[np.float64]
-
 def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthUnit = PIXELS) -> Figure:
     """Draw slip and opening against the place along the line.
 
@@ -191,8 +191,7 @@ def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthU
     return figure
 
 
-def draw_uncertainty(sizes: NDArray[np.float64], deviations: Mapping[Any, NDArray[np.float64]],
-                     bases: Sequence[str]) -> Figure:
+def draw_uncertainty(sizes: Array, deviations: Mapping[Any, Array], bases: Sequence[str]) -> Figure:
     """Draw the standard deviation, the largest over displacements, against the size of the elements.
 
     ``sizes`` (n_sizes,) and, by kind of displacement, ``deviations`` (n_sizes, n_amplitudes, n_bases) are in pixels;

@@ -104,8 +104,7 @@ def _round_down(value: float) -> float:
 
 
 def draw_deformed(result: Result, component: Component = "magnitude", amplification: float | None = None,
-                  unit: LengthUnit = PIXELS, limits: Limits | None = None,
-                  shared: SharedView | None = None) -> Figure:
+                  unit: LengthUnit = PIXELS, limits: Limits | None = None, shared: SharedView | None = None) -> Figure:
     """Draw the mesh moved by its amplified displacement, over the whole mesh at rest in grey.
 
     Cells with a node that was not measured are drawn at rest alone. ``amplification`` is of the whole displacement,

@@ -28,6 +28,8 @@ from ddic.mesh.topology import find_boundary_facets
 from ddic.plots import canvas
 from ddic.plots.canvas import PIXELS, Bounds, Component, LengthUnit, Limits
 
+Array = NDArray[np.float64]
+
 
 def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
                     limits: Limits | None = None) -> Figure:
@@ -45,7 +47,7 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     return figure
 
 
-def _interpolate(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _interpolate(result: Result, points: Array) -> Array:
     """Displacement at points, pixels: a guess outside the mesh, nan in it where nothing was measured."""
     values = displacement_at(result, points)
     if not result.measured_nodes.all():
@@ -154,7 +156,7 @@ class Values:
 
     title: str
     label: str
-    values: NDArray[np.float64]
+    values: Array
     by_cell: bool = False
 
 
@@ -227,7 +229,7 @@ def draw_outlines(axes: Axes, outlined: Sequence[Mesh]) -> None:
     axes.set_facecolor("0.6")
 
 
-def find_points_inside(points: NDArray[np.float64], box: Bounds) -> NDArray[np.bool_]:
+def find_points_inside(points: Array, box: Bounds) -> NDArray[np.bool_]:
     """Tell which points (n, 2) lie in a box, (n,)."""
     low, high = box[:2], box[2:]
     is_inside = (points >= low) & (points <= high)
@@ -264,9 +266,8 @@ class StrainChoice:
     by_cell: bool = False
 
 
-def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
-                limits: Limits | None = None, of_panels: Sequence[Limits] | None = None,
-                image: Preview | None = None) -> Figure:
+def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS, limits: Limits | None = None,
+                of_panels: Sequence[Limits] | None = None, image: Preview | None = None) -> Figure:
     """Draw strain on the mesh at rest, in one panel or three, over the image where it is given.
 
     ``of_panels`` are limits of the colours of each panel, in place of ``limits``. Raises InputError where the result
@@ -293,7 +294,7 @@ def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
     return panels
 
 
-def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:
+def pick_tensors(result: Result, choice: StrainChoice) -> Array:
     """Pick the strain tensors xx, yy, xy of a result, (n_nodes, 3) or (n_cells, 3).
 
     Raises InputError where the result has no strain at nodes.
@@ -309,7 +310,7 @@ def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:
     return schema.pick_in_the_plane(result.point_data[name])
 
 
-def pick_number(tensors: NDArray[np.float64], number: str) -> NDArray[np.float64]:
+def pick_number(tensors: Array, number: str) -> Array:
     """Pick a component, a principal value or the equivalent strain, one of NUMBERS, of tensors xx, yy, xy, (n, 3)."""
     if number in PANELS:
         return tensors[:, PANELS.index(number)]

@@ -20,6 +20,8 @@ from ddic.plots import canvas
 from ddic.plots.canvas import PIXELS, LengthUnit
 from ddic.plots.maps import Preview, make_figure_over
 
+Array = NDArray[np.float64]
+
 PALETTE = np.array([[0.902, 0.624, 0.0], [0.337, 0.706, 0.914], [0.0, 0.620, 0.451], [0.941, 0.894, 0.259],
                     [0.0, 0.447, 0.698], [0.835, 0.369, 0.0], [0.800, 0.475, 0.655]])
 """Seven colours that are told apart whatever colours one sees: Okabe and Ito, Color Universal Design, 2008, without
@@ -83,8 +85,7 @@ def choose_colours(mesh: Mesh, subdomain_ids: NDArray[np.int64]) -> NDArray[np.i
     return chosen
 
 
-def _draw_box(mesh: Mesh, nodes: NDArray[np.float64], cells: NDArray[np.int64],
-              colour: NDArray[np.float64]) -> Rectangle:
+def _draw_box(mesh: Mesh, nodes: Array, cells: NDArray[np.int64], colour: Array) -> Rectangle:
     """The bounding box of a subdomain's cells."""
     of_cells = mesh.cells[cells]
     corners = nodes[of_cells[of_cells >= 0]]
@@ -93,7 +94,7 @@ def _draw_box(mesh: Mesh, nodes: NDArray[np.float64], cells: NDArray[np.int64],
     return Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=colour, linewidth=1.6, linestyle="--")
 
 
-def _write_number(axes: Axes, middles: NDArray[np.float64], subdomain: int, side: float) -> None:
+def _write_number(axes: Axes, middles: Array, subdomain: int, side: float) -> None:
     """Write a subdomain's number on the cell that is nearest to the middle of all; side: about its own, inches."""
     x, y = middles[np.linalg.norm(middles - middles.mean(axis=0), axis=1).argmin()]
     size = SHARE_OF_NUMBER * canvas.POINTS_AN_INCH * side
@@ -113,7 +114,7 @@ LONGEST_NAME = 12
 """Characters of a node set's name; a larger value needs more room beside the axes."""
 
 
-def draw_mesh_preview(mesh: Mesh, image: Preview, lines: Sequence[NDArray[np.float64]] = ()) -> Figure:
+def draw_mesh_preview(mesh: Mesh, image: Preview, lines: Sequence[Array] = ()) -> Figure:
     """Draw a mesh, its node sets and the lines (n_vertices, 2) that cut it, pixels, over the reference image."""
     sets = {name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)}
     title = f"Mesh: {mesh.n_nodes} nodes, {mesh.n_cells} cells"
