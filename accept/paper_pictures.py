@@ -23,8 +23,16 @@ from ddic.io.result_schema import CAMERA
 from ddic.kinematics.strain import count_folded_cells
 from ddic.plots.canvas import find_length_unit
 from ddic.plots.curves import draw_krylov
-from ddic.plots.deformed import choose_amplification, draw_deformed
-from ddic.plots.maps import Preview, StrainChoice, draw_displacement, draw_near_far, draw_strain, read_preview
+from ddic.plots.maps import (
+    Preview,
+    StrainChoice,
+    choose_amplification,
+    draw_deformed,
+    draw_displacement,
+    draw_near_far,
+    draw_strain,
+    read_preview,
+)
 from ddic.plots.partition import draw_partition
 from ddic.plots.residual import draw_residual
 

@@ -23,8 +23,16 @@ from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
 from ddic.plots.canvas import LengthUnit, format_title, make_image_figure
 from ddic.plots.curves import draw_krylov
-from ddic.plots.deformed import choose_amplification, draw_deformed
-from ddic.plots.maps import Preview, StrainChoice, draw_difference, draw_displacement, draw_near_far, draw_strain
+from ddic.plots.maps import (
+    Preview,
+    StrainChoice,
+    choose_amplification,
+    draw_deformed,
+    draw_difference,
+    draw_displacement,
+    draw_near_far,
+    draw_strain,
+)
 from ddic.plots.partition import PALETTE, choose_colours, draw_mesh_preview, draw_partition
 from ddic.plots.residual import draw_residual
 from support.cases import write_case, write_images

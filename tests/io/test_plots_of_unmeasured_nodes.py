@@ -18,8 +18,15 @@ from ddic.errors import InputError
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
 from ddic.plots.canvas import PIXELS
-from ddic.plots.deformed import choose_amplification, draw_deformed
-from ddic.plots.maps import Values, draw_difference, draw_displacement, draw_near_far, draw_values
+from ddic.plots.maps import (
+    Values,
+    choose_amplification,
+    draw_deformed,
+    draw_difference,
+    draw_displacement,
+    draw_near_far,
+    draw_values,
+)
 
 Write = Callable[..., Path]
 

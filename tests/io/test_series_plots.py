@@ -20,8 +20,7 @@ from ddic.cli.plot_series import Look, find_shared_scale
 from ddic.cli.probe import export
 from ddic.io.series_reader import gather_history, read_series
 from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption
-from ddic.plots.deformed import draw_deformed
-from ddic.plots.maps import StrainChoice, draw_strain
+from ddic.plots.maps import StrainChoice, draw_deformed, draw_strain
 from ddic.plots.series import draw_time_curves
 from support.series_files import STRAIN, FrameFile, write_series_file
 
