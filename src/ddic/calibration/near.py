@@ -170,27 +170,25 @@ class TileSearch:
 
     def _find_best(self, centre: tuple[float, float], fixed: bool) -> Match:
         """The best match of a tile over ratios and rotations: on a grid, then around its best point."""
-        best = self._match(centre, 0.0, 0.0)
+        best, at = self._match(centre, 0.0, 0.0), (0.0, 0.0)
         if fixed:
             return best
-        at = (0.0, 0.0)
         steps = [k / _STEPS for k in range(-_STEPS, _STEPS + 1)]
         # The most likely first: the given ratio, upright.
         grid = sorted(product(steps, steps), key=lambda step: step[0] ** 2 + step[1] ** 2)
-        for stretch, turn in grid[1:]:
+        for step in grid[1:]:
             if best.coefficient >= _CLEAR:
                 break
-            tried = self._match(centre, stretch, turn)
+            tried = self._match(centre, *step)
             if tried.coefficient > best.coefficient:
-                best, at = tried, (stretch, turn)
+                best, at = tried, step
         for fine in _FINE_STEPS:
             middle = at
             for k, j in product((-1, 0, 1), repeat=2):
-                stretch = middle[0] + k * fine / _STEPS
-                turn = middle[1] + j * fine / _STEPS
-                tried = self._match(centre, stretch, turn)
+                step = middle[0] + k * fine / _STEPS, middle[1] + j * fine / _STEPS
+                tried = self._match(centre, *step)
                 if tried.coefficient > best.coefficient:
-                    best, at = tried, (stretch, turn)
+                    best, at = tried, step
         return best
 
     def _match(self, centre: tuple[float, float], stretch: float, turn: float) -> Match:

@@ -245,13 +245,27 @@ def _check_segments(path: Path, tiff: Any, page: Any) -> None:
         n_bytes = height * width * int(page.samplesperpixel) * _pixel_type(page).itemsize
         is_whole = starts[0] + n_bytes <= size
     else:
-        rows, columns = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, width)
+        rows, columns = _segment_size(page)
         n_planes = int(page.samplesperpixel) if page.planarconfig == 2 else 1
         n_segments = -(-height // rows) * -(-width // columns) * n_planes
         is_whole = n_segments <= len(starts) == len(counts) and bool(((starts + counts)[counts > 0] <= size).all())
     if not is_whole:
         raise InputError(f"{path}: cut short, or damaged: its header claims {width} x {height} px, which the {size} "
                          "bytes of the file do not hold; copy or save it again")
+
+
+def _segment_size(page: Any) -> tuple[int, int]:
+    """Rows and columns of a strip or a tile."""
+    return (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, page.imagewidth)
+
+
+def _read_bytes(tiff: Any, offset: int, n_bytes: int) -> bytes:
+    """Bytes of an open file; raises ValueError where they are not all there."""
+    tiff.filehandle.seek(offset)
+    data: bytes = tiff.filehandle.read(n_bytes)
+    if len(data) < n_bytes:
+        raise ValueError("the file is cut short")
+    return data
 
 
 def _lies_together(page: Any) -> bool:
@@ -296,30 +310,21 @@ def _bands(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterato
     rows_at_once = max(1, BAND_BYTES // row_bytes)
     for y in range(window.y0, window.y1, rows_at_once):
         n_rows = min(rows_at_once, window.y1 - y)
-        tiff.filehandle.seek(page.dataoffsets[0] + y * row_bytes)
-        data = tiff.filehandle.read(n_rows * row_bytes)
-        if len(data) < n_rows * row_bytes:
-            raise ValueError("the file is cut short")
+        data = _read_bytes(tiff, page.dataoffsets[0] + y * row_bytes, n_rows * row_bytes)
         yield np.frombuffer(data, stored).reshape(n_rows, layout.width, layout.n_channels), 0, y
 
 
 def _segments(tiff: Any, page: Any, window: Window, numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Strips or tiles under the window, decoded one by one; numbers: of those of one plane."""
-    height, width = page.rowsperstrip, page.imagewidth
-    if page.is_tiled:
-        height, width = page.tilelength, page.tilewidth
+    height, width = _segment_size(page)
     columns = -(-page.imagewidth // width)
     for number in numbers:
         row, column = divmod(number - numbers.start, columns)
         x, y = column * width, row * height
         if window.intersection(Window(x, y, x + width, y + height)).n_pixels == 0:
             continue
-        data = None
-        if page.databytecounts[number]:
-            tiff.filehandle.seek(page.dataoffsets[number])
-            data = tiff.filehandle.read(page.databytecounts[number])
-            if len(data) < page.databytecounts[number]:
-                raise ValueError("the file is cut short")
+        n_bytes = page.databytecounts[number]
+        data = _read_bytes(tiff, page.dataoffsets[number], n_bytes) if n_bytes else None
         pixels, _, shape = page.decode(data, number)
         block = np.full(shape, page.nodata, page.dtype) if pixels is None else pixels
         yield block[0], x, y

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import h5py
 import numpy as np
@@ -26,8 +26,7 @@ Arrays = Mapping[str, NDArray[Any]]
 CHUNK_CACHE_BYTES = 64 << 20
 
 
-@dataclass(frozen=True)
-class PieceSize:
+class PieceSize(NamedTuple):
     """Sizes of a subdomain's piece.
 
     Attributes
@@ -67,15 +66,6 @@ class Piece:
     cell_data: Arrays
 
 
-@dataclass(frozen=True)
-class _Pieces:
-    """The pieces announced: what lies before each of them, and at last all of them, and their fields."""
-
-    starts: Sequence[PieceSize]
-    point_fields: tuple[FieldSpec, ...]
-    cell_fields: tuple[FieldSpec, ...]
-
-
 class ResultWriter:
     """A result file under construction; use it in a ``with`` statement.
 
@@ -97,8 +87,10 @@ class ResultWriter:
         self._path = path
         self._flip_y = flip_y
         self._files = files
-        self._pieces: _Pieces | None = None
-        self._fields: dict[str, Any] = {}
+        # What lies before each of the announced pieces, and at last all of them.
+        self._starts: list[PieceSize] = []
+        # Datasets of the fields at the points and on the cells, beside what they are.
+        self._fields: dict[str, list[tuple[FieldSpec, Any]]] = {}
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
         self._stack = ExitStack()
@@ -146,15 +138,19 @@ class ResultWriter:
     def create_pieces(self, sizes: Sequence[PieceSize], point_fields: Sequence[FieldSpec],
                       cell_fields: Sequence[FieldSpec]) -> None:
         """Make room for a mesh in pieces of these sizes, all of them, and for the fields that every piece brings."""
-        starts = [PieceSize(0, 0, 0)]
-        for size in sizes:
-            last = starts[-1]
-            starts.append(PieceSize(last.n_points + size.n_points, last.n_cells + size.n_cells,
-                                    last.n_connectivity + size.n_connectivity))
-        self._pieces = _Pieces(starts, tuple(point_fields), tuple(cell_fields))
-        self._create_grid(sizes, starts[-1])
-        self._create_fields(schema.POINT_DATA, point_fields, starts[-1].n_points)
-        self._create_fields(schema.CELL_DATA, cell_fields, starts[-1].n_cells)
+        counts = np.array(sizes, np.int64).reshape(-1, 3)
+        self._starts = [PieceSize(*row) for row in np.cumsum([(0, 0, 0), *counts], axis=0).tolist()]
+        total = self._starts[-1]
+        group = schema.create_vtk_group(self._file, "UnstructuredGrid")
+        for name, of_pieces in zip(schema.PIECES, counts.T, strict=True):
+            group[name] = of_pieces
+        _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
+        _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
+        # Each piece has one offset more than cells.
+        _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
+        _create(group, "Types", total.n_cells, 1, np.uint8)
+        self._create_fields(schema.POINT_DATA, point_fields, total.n_points)
+        self._create_fields(schema.CELL_DATA, cell_fields, total.n_cells)
 
     def write_pieces(self, indices: range, pieces: Piece) -> None:
         """Write the mesh and fields of some pieces that follow each other.
@@ -162,13 +158,12 @@ class ResultWriter:
         ``indices`` are their numbers, ``pieces`` is all of them joined to one (``join_pieces``). Raises ValueError if
         one was written before, or if the arrays do not have the announced shapes.
         """
-        if self._pieces is None:
+        if not self._starts:
             raise ValueError("create_pieces comes before write_pieces")
         again = sorted(self._written.intersection(indices))
         if again:
             raise ValueError(f"pieces {again} were written before")
-        announced = self._pieces
-        start, stop = announced.starts[indices.start], announced.starts[indices.stop]
+        start, stop = self._starts[indices.start], self._starts[indices.stop]
         n_points, n_cells = stop.n_points - start.n_points, stop.n_cells - start.n_cells
         for what, found, expected in (("points", len(pieces.points), n_points),
                                       ("types", len(pieces.types), n_cells),
@@ -183,8 +178,8 @@ class ResultWriter:
         _put(group["Connectivity"], start.n_connectivity, pieces.connectivity)
         _put(group["Offsets"], start.n_cells + indices.start, pieces.offsets)
         _put(group["Types"], start.n_cells, pieces.types)
-        self._write_fields(schema.POINT_DATA, announced.point_fields, pieces.point_data, start.n_points, n_points)
-        self._write_fields(schema.CELL_DATA, announced.cell_fields, pieces.cell_data, start.n_cells, n_cells)
+        self._write_fields(schema.POINT_DATA, pieces.point_data, start.n_points, n_points)
+        self._write_fields(schema.CELL_DATA, pieces.cell_data, start.n_cells, n_cells)
         self._require_written()
         self._written.update(indices)
 
@@ -271,8 +266,7 @@ class ResultWriter:
 
     def _refuse_missing_pieces(self) -> None:
         """Raise where an announced piece has not been written."""
-        n_announced = 0 if self._pieces is None else len(self._pieces.starts) - 1
-        missing = sorted(set(range(n_announced)) - self._written)
+        missing = sorted(set(range(len(self._starts) - 1)) - self._written)
         if missing:
             raise ValueError(f"{self._path}: pieces {missing} were not written")
 
@@ -280,32 +274,21 @@ class ResultWriter:
         """Vectors and tensors as the file has them."""
         return schema.flip_components(values) if self._flip_y else values
 
-    def _create_grid(self, sizes: Sequence[PieceSize], total: PieceSize) -> None:
-        """Make room for the mesh."""
-        group = schema.create_vtk_group(self._file, "UnstructuredGrid")
-        counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
-        for name, of_pieces in zip(schema.PIECES, counts.T, strict=True):
-            group[name] = of_pieces
-        _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
-        _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
-        # Each piece has one offset more than cells.
-        _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
-        _create(group, "Types", total.n_cells, 1, np.uint8)
-
     def _create_fields(self, name: str, fields: Sequence[FieldSpec], length: int) -> None:
         """Make room for the fields of a group."""
         group = self._file.create_group(name)
+        self._fields[name] = []
         for field in fields:
             created = _create(group, field.name, length, field.n_components, field.dtype)
             created.attrs.update(unit=field.unit, description=field.description, axes=field.axes)
-            self._fields[f"{name}/{field.name}"] = created
+            self._fields[name].append((field, created))
 
-    def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Arrays, start: int, length: int) -> None:
+    def _write_fields(self, group: str, arrays: Arrays, start: int, length: int) -> None:
         """Write the fields of a group, rows from ``start`` on; they must be those announced."""
-        names = {field.name for field in fields}
+        names = {field.name for field, _ in self._fields[group]}
         if names != set(arrays):
             raise ValueError(f"{group}: fields {sorted(arrays)}, {sorted(names)} announced")
-        for field in fields:
+        for field, dataset in self._fields[group]:
             values = np.asarray(arrays[field.name])
             if field.n_components == schema.VECTOR:
                 values = _three_components(values)
@@ -313,7 +296,7 @@ class ResultWriter:
             if values.shape != expected:
                 raise ValueError(f"{group}/{field.name}: shape {values.shape}, {expected} announced")
             oriented = self._oriented(values) if field.axes == schema.AXES_OF_IMAGE else values
-            _put(self._fields[f"{group}/{field.name}"], start, oriented)
+            _put(dataset, start, oriented)
 
 
 def join_pieces(pieces: Sequence[Piece]) -> Piece:

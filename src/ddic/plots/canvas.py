@@ -45,8 +45,8 @@ def format_title(text: str, width: float, size: float) -> str:
     return "\n".join(textwrap.wrap(text, n_characters, break_on_hyphens=False))
 
 
-def make_room_above(figure: Figure, room: float) -> None:
-    """Let a page grow by some room, inches, above what is on it, which keeps its size."""
+def make_room_above(figure: Figure, room: float) -> float:
+    """Let a page grow by some room, inches, above what is on it, which keeps its size; return its new height."""
     width, height = figure.get_size_inches()
     share = float(height / (height + room))
     layout = figure.get_layout_engine()
@@ -59,6 +59,7 @@ def make_room_above(figure: Figure, room: float) -> None:
             x, y, w, h = axes.get_position(original=True).bounds
             axes.set_position((x, y * share, w, h * share))
     figure.set_size_inches(width, height + room)
+    return float(height + room)
 
 
 @dataclass(frozen=True)
@@ -345,8 +346,7 @@ def format_caption(number: int, time: float) -> str:
 
 def draw_caption(figure: Figure, text: str) -> None:
     """Write a text, short enough for one line, above all that is on a page, which grows by it."""
-    make_room_above(figure, ROOM_INCHES)
-    height = figure.get_size_inches()[1]
+    height = make_room_above(figure, ROOM_INCHES)
     figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=CAPTION_POINTS,
                 fontweight="bold")
 
@@ -376,11 +376,9 @@ def draw_failures(figure: Figure, shown: Sequence[Result]) -> None:
     if not failed:
         return
     text = WORDS if len(shown) == 1 else f"{', '.join(result.path.name for result in failed)}: {WORDS}"
-    width, height = figure.get_size_inches()
-    lines = format_title(text, width - 2 * EDGE_INCHES, MARK_POINTS)
-    room = EDGE_INCHES + MARK_INCHES * (lines.count("\n") + 1)
-    make_room_above(figure, room)
-    figure.text(0.5, 1.0 - EDGE_INCHES / (height + room), lines, ha="center", va="top", fontsize=MARK_POINTS,
+    lines = format_title(text, figure.get_size_inches()[0] - 2 * EDGE_INCHES, MARK_POINTS)
+    height = make_room_above(figure, EDGE_INCHES + MARK_INCHES * (lines.count("\n") + 1))
+    figure.text(0.5, 1.0 - EDGE_INCHES / height, lines, ha="center", va="top", fontsize=MARK_POINTS,
                 fontweight="bold", color=FAILURE_COLOUR, linespacing=MARK_INCHES * POINTS_AN_INCH / MARK_POINTS / 1.2)
 
 

@@ -9,6 +9,7 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -110,16 +111,17 @@ def write_probe_table(path: Path | str, records: Sequence[ProbeRecord]) -> None:
         Where the folder cannot be written to.
     """
     unit = records[0].unit if records else LengthUnit()
-    with replaced_on_exit(Path(path)) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow([_name_column(name, kind, unit) for name, kind in COLUMNS])
-        for record in records:
-            table.writerows(_list_rows(record))
-
-
-def _name_column(name: str, kind: str, unit: LengthUnit) -> str:
     units = {"length": unit.name, "area": f"{unit.name}^2", "1": "1"}
-    return f"{name} [{units[kind]}]" if kind else name
+    header = [f"{name} [{units[kind]}]" if kind else name for name, kind in COLUMNS]
+    with replaced_on_exit(Path(path)) as temporary:
+        _write_csv(temporary, header, chain.from_iterable(map(_list_rows, records)))
+
+
+def _write_csv(path: Path, header: Iterable[str], rows: Iterable[Sequence[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(header)
+        table.writerows(rows)
 
 
 def _list_rows(record: ProbeRecord) -> Iterator[list[str]]:
@@ -173,8 +175,9 @@ def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
     nodes, cells = list_field_tables(Path(path))
     mesh = result.mesh
     with replaced_together() as files:
-        _write_table(files.begin(nodes), _list_columns(result, "node", mesh.nodes, result.point_data))
-        _write_table(files.begin(cells), _list_columns(result, "cell", mesh.centroids, result.cell_data))
+        for target, columns in ((nodes, _list_columns(result, "node", mesh.nodes, result.point_data)),
+                                (cells, _list_columns(result, "cell", mesh.centroids, result.cell_data))):
+            _write_csv(files.begin(target), columns, zip(*map(_format_column, columns.values()), strict=True))
     return nodes, cells
 
 
@@ -210,16 +213,8 @@ def _list_units(result: Result) -> dict[str, str]:
     return {spec.name: spec.unit for spec in specs}
 
 
-def _write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Columns as CSV; nothing where a value is nan."""
-    texts = [_format_column(values) for values in columns.values()]
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(columns)
-        table.writerows(zip(*texts, strict=True))
-
-
 def _format_column(values: NDArray[Any]) -> list[str]:
+    """Numbers as texts; nothing where a value is nan."""
     if np.issubdtype(values.dtype, np.integer):
         return [str(value) for value in values.tolist()]
     return ["" if value != value else f"{value:.{N_DIGITS}g}" for value in values.tolist()]  # noqa: PLR0124  nan alone
