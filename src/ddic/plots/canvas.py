@@ -312,7 +312,7 @@ def format_component(symbol: str, component: Component) -> str:
     return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
 
 
-def label_component(symbol: str, component: Component, unit: LengthUnit) -> str:
+def format_component_label(symbol: str, component: Component, unit: LengthUnit) -> str:
     """Label a colour bar with a component of a vector and its unit."""
     return f"{format_component(symbol, component)} [{unit.name}]"
 

@@ -52,7 +52,7 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
     values = canvas.pick_component(difference, component)
     colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, canvas.choose_limits(values, limits))
-    canvas.add_colour_bar(figure, axes, colours, canvas.label_component(r"\Delta u", component, unit))
+    canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label(r"\Delta u", component, unit))
     return figure
 
 
@@ -173,7 +173,7 @@ def draw_displacement(result: Result, image: Preview | None = None, component: C
                       unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
     """Draw the displacement on the mesh at rest, over the reference image where it is given."""
     shown = Values(f"Displacement {canvas.format_component('u', component)}",
-                   canvas.label_component("u", component, unit),
+                   canvas.format_component_label("u", component, unit),
                    unit.size * canvas.pick_component(result.displacement, component))
     return draw_values(result.mesh, [shown], image, unit, [limits])
 
@@ -226,7 +226,7 @@ def draw_near_far(result: Result, component: Component = "magnitude", unit: Leng
         colours = canvas.draw_nodal_colours(axes, whole, whole.nodes, values, canvas.choose_limits(inside))
         draw_outlines(axes, near)
         canvas.set_bounds(axes, box)
-        canvas.add_colour_bar(figure, axes, colours, canvas.label_component("u", component, unit))
+        canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label("u", component, unit))
     return figure
 
 
@@ -445,5 +445,5 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
         edges = canvas.make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
                                           rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
         axes.add_collection(edges)
-    canvas.add_colour_bar(figure, axes, colours, canvas.label_component("u", component, unit))
+    canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label("u", component, unit))
     return figure
