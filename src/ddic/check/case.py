@@ -25,8 +25,8 @@ from ddic.inputs.inputs import Problems
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
 from ddic.inputs.rectangle import check_number_of_ranks
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
-from ddic.io.damaged_result import require_known_displacement
 from ddic.io.input_file import FileStamps
+from ddic.io.result_reader import require_known_displacement
 from ddic.io.series_reader import read_frame_or_last
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize

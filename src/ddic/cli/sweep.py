@@ -87,7 +87,7 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     """Write table and figure; returns the lines that say what was found and where it is."""
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.plots.canvas import save_figure
-    from ddic.plots.sweep import draw_sweep
+    from ddic.plots.curves import draw_sweep
     from ddic.results.sweep import collect_by_size, list_failures, write_sweep
 
     table, figure = _list_outputs(folder, stem)
