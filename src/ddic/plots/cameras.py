@@ -1,4 +1,4 @@
-"""Near-field and far-field measurements: where each camera measured, and panels of cell values (Fig. 4 of [BP17])."""
+"""Near-field and far-field measurements: where each camera measured, and panels of cell values."""
 
 from __future__ import annotations
 

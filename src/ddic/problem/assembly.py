@@ -121,7 +121,7 @@ def _weigh_gap(team: Team, section: RegularizationSection, region: Region, refer
 
 def _system(case: Case, subdomain: Subdomain, hessian: sparse.csr_matrix, gap: _GapWeight,
             rotation: NDArray[np.float64] | None) -> LocalSystem:
-    """M_s, diag(w) T^T K T and P of one subdomain, Eq. 11 of [BP17]; P is small at edges, not 0."""
+    """M_s, diag(w) T^T K T and P of one subdomain, Eq. 9 of [BP17]; P is small at edges, not 0."""
     weights = interface_weights(subdomain.multiplicity, case.solver.weighting)
     material = build_material(require_held(case.regularization))
     of_field = controlled_stiffness(subdomain.kinematics, material, weights, rotation)

@@ -93,7 +93,7 @@ class RegionMesh:
     measured : list of MeasuredCells
         Cells of each camera.
     controlled : (n_unknowns,) array of bool
-        Whether the equilibrium row of each unknown is controlled: P of Eq. 11 of [BP17].
+        Whether the equilibrium row of each unknown is controlled: P of Eq. 9 of [BP17].
     interior : (n_nodes,) array of bool
         Nodes inside the mesh around which the first camera measures every cell: there texture is weighed against
         mechanics.

@@ -134,7 +134,7 @@ class ResidualModel:
         return residuals if self.pulled is None else keep_other_cells(self.pulled, residuals)
 
     def assemble_right_hand_sides(self, evaluation: Evaluation, q: Sequence[Array]) -> list[Array]:
-        """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
+        """Assemble b_s of all owned subdomains, Eq. 7 of [BP17]; free of communication.
 
         ``evaluation`` is that of ``q``; b_s, (n_unknowns,), is in grey levels squared per pixel.
         """

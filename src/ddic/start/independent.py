@@ -68,7 +68,7 @@ class IndependentFields:
 def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Sequence[Hessians],
                           q: Sequence[NDArray[np.float64]], correction: GreyCorrection,
                           clock: PhaseClock) -> IndependentFields:
-    """Run FE-DIC on every owned subdomain by itself, by its own camera; collective.
+    """Run FE-DIC, M dq = b of Eq. 6 of [BP17], on every owned subdomain by itself, by its own camera; collective.
 
     A subdomain whose M_s is singular or that does not converge keeps its q, with which it starts, the set-up of its
     camera still. ``hessians`` are M of each view, on displacements of nodes in its image.

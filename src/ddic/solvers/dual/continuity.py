@@ -1,4 +1,4 @@
-"""One value per interface unknown from the subdomains' copies, Eq. 41 of [BP17]."""
+"""One value per interface unknown from the subdomains' copies, section 5.3.2 of [BP17]."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ContinuousField:
 
 def average_copies(team: Team, subdomains: Sequence[Subdomain],
                    q: Sequence[NDArray[np.float64]]) -> ContinuousField:
-    """Average the copies of every interface unknown, Eq. 41 of [BP17]; collective.
+    """Average the copies of every interface unknown, section 5.3.2 of [BP17]; collective.
 
     ``q``, (n_unknowns,) of each owned subdomain, pixels, are left as they are. The averages are equal, to the last bit,
     on all subdomains that share an unknown.
