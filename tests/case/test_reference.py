@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 from pydantic import BaseModel, Field
 
 from ddic.case import schema
-from ddic.case.reference import format_table, write_tables
+from ddic.case.reference import describe_keys, format_table, write_tables
 from ddic.errors import InputError
 
 SECTIONS = [value for value in vars(schema).values()
@@ -19,18 +19,29 @@ class Inner(BaseModel):
 
 
 class Example(BaseModel):
-    file: Path = Field(description="A file.")
-    length: schema.Positive | None = Field(default=None, description="A length.", json_schema_extra={"unit": "px"})
-    ratio: float = Field(default=1e-6, gt=0, lt=1, description="A ratio.")
-    kind: Literal["a", "b", "c"] = Field(default="b", description="A kind.")
-    degree: Literal[3, 5] = Field(default=3, description="A degree.")
-    names: tuple[str, ...] = Field(default=("one", "two"), description="Names.")
-    place: tuple[float, float] = Field(default=(0.0, 1.5), description="A place.",
-                                       json_schema_extra={"shape": "[x, y]"})
-    inner: Inner | None = Field(default=None, description="More.")
-    list_of: tuple[Inner, ...] = Field(default=(), description="More of it.")
-    count: int | None = Field(default=None, ge=1, description="How many.", json_schema_extra={"default": "all"})
-    chosen: bool = Field(default=False, description="Whether.")
+    file: Path
+    """A file."""
+    length: schema.PositivePixels | None = None
+    """A length."""
+    ratio: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    """A ratio."""
+    kind: Literal["a", "b", "c"] = "b"
+    """A kind."""
+    degree: Literal[3, 5] = 3
+    """A degree."""
+    names: tuple[str, ...] = ("one", "two")
+    """Names."""
+    place: Annotated[tuple[float, float], schema.note(shape="[x, y]")] = (0.0, 1.5)
+    """A place."""
+    inner: Inner | None = None
+    """More."""
+    list_of: tuple[Inner, ...] = ()
+    """More
+    of it."""
+    count: Annotated[int | None, Field(ge=1), schema.note(default="all")] = None
+    """How many."""
+    chosen: bool = False
+    """Whether."""
 
 
 def test_a_line_tells_type_default_unit_and_meaning() -> None:
@@ -53,7 +64,7 @@ def test_a_line_tells_type_default_unit_and_meaning() -> None:
 def test_every_key_is_described(section: type[schema.Section]) -> None:
     # Sections at the top level have chapters of their own.
     fields = section.model_fields if section is not schema.Case else {"title": section.model_fields["title"]}
-    assert [name for name, field in fields.items() if not field.description] == []
+    assert [name for name in fields if not describe_keys(section).get(name)] == []
 
 
 def test_what_is_not_below_a_mark_stays() -> None:

@@ -6,7 +6,11 @@ for the top level. The text around is written by hand.
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
+import textwrap
+from itertools import pairwise
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -16,6 +20,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from ddic.case.loader import find_section, find_section_in
+from ddic.case.schema import Case
 from ddic.errors import InputError
 
 HEAD = ("| key | type | default | unit | meaning |", "|---|---|---|---|---|")
@@ -34,8 +39,21 @@ def write_tables(text: str) -> str:
 
 def format_table(section: type[BaseModel]) -> list[str]:
     """Describe the keys of a section in lines of a Markdown table: key, type, default, unit, meaning."""
-    rows = [_row(name, field) for name, field in section.model_fields.items()]
+    meanings = describe_keys(section)
+    # Sections of the top level have chapters of their own.
+    rows = [_row(name, field, meanings.get(name, "")) for name, field in section.model_fields.items()
+            if section is not Case or find_section_in(field.annotation) is None]
     return [*HEAD, *rows]
+
+
+def describe_keys(section: type[BaseModel]) -> dict[str, str]:
+    """Read what the keys of a section mean: the text that stands below each in the source."""
+    [parsed] = ast.parse(textwrap.dedent(inspect.getsource(section))).body
+    meanings = {}
+    for key, text in pairwise(parsed.body if isinstance(parsed, ast.ClassDef) else ()):
+        if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+            meanings[ast.unparse(key.target)] = " ".join(str(text.value.value).split())
+    return meanings
 
 
 def _marked_table(found: re.Match[str]) -> str:
@@ -44,29 +62,33 @@ def _marked_table(found: re.Match[str]) -> str:
     section = find_section(tuple(name.split(".")) if name else ())
     if section is None:
         raise InputError(f'keys: {name}: no such section of a case file; give one such as "mesh.structured"')
-    lines = format_table(section)
-    if not name:
-        # The sections have chapters of their own.
-        fields = section.model_fields.items()
-        lines = [*HEAD, *(_row(key, field) for key, field in fields if find_section_in(field.annotation) is None)]
-    return found["mark"] + "\n".join(lines) + "\n"
+    return found["mark"] + "\n".join(format_table(section)) + "\n"
 
 
-def _row(name: str, field: FieldInfo) -> str:
+def _row(name: str, field: FieldInfo, meaning: str) -> str:
     """A key's line."""
-    extra = _extra(field)
+    extra = _find_notes(field)
     shape = extra.get("shape")
     kind = _type_text(field.annotation, field.metadata) if shape is None else shape
     default = extra.get("default") or _default_text(field)
     unit = extra.get("unit", "")
-    cells = (f"`{name}`", kind, default, unit, field.description or "")
+    cells = (f"`{name}`", kind, default, unit, meaning)
     return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
 
 
-def _extra(field: FieldInfo) -> dict[str, str]:
-    """What the schema adds to a key's type."""
-    extra = field.json_schema_extra
-    return {key: str(value) for key, value in extra.items()} if isinstance(extra, dict) else {}
+def _find_notes(field: FieldInfo) -> dict[str, str]:
+    """What the schema notes beside a key's type; of an optional one beside the type that it has where it is given."""
+    notes: dict[str, str] = {}
+    for part in get_args(field.annotation):
+        for inner in get_args(part) if get_origin(part) is Annotated else ():
+            if isinstance(inner, FieldInfo):
+                notes |= _get_notes(inner)
+    return notes | _get_notes(field)
+
+
+def _get_notes(field: FieldInfo) -> dict[str, str]:
+    notes = field.json_schema_extra
+    return {key: str(value) for key, value in notes.items()} if isinstance(notes, dict) else {}
 
 
 def _type_text(annotation: Any, metadata: list[Any]) -> str:
