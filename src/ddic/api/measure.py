@@ -29,10 +29,10 @@ from ddic.api.options import (
     open_given_image,
 )
 from ddic.case.loader import LoadedCase
+from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
 from ddic.check.case import check_loaded_case, check_ranks, load_checked_case
 from ddic.check.mesh import check_mesh
-from ddic.check.output import check_nothing_is_overwritten, check_output_file
 from ddic.errors import ConvergenceError, DdicError, InputError
 from ddic.images.camera import identity
 from ddic.images.grey_levels import find_saturation

@@ -267,6 +267,10 @@ class LoadedCase:
         """Whether it names several deformed images."""
         return is_series(self.case)
 
+    def list_inputs(self) -> list[Path]:
+        """List the files that it reads and no run replaces, the case file too."""
+        return [self.path, *list_named_files(self.case, self.path.parent)]
+
     def with_output(self, file: Path) -> LoadedCase:
         """Have the result written elsewhere: the same but for ``output.file``."""
         output = self.case.output.model_copy(update={"file": file})
@@ -318,7 +322,7 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
     except InputError:
         return None, problems
     folder = path.resolve().parent
-    missing = [f"{file}: no such file; check the path" for file in _list_named_files(data, Case, folder)
+    missing = [f"{file}: no such file; check the path" for file in list_named_files(data, folder)
                if not is_readable_file(file) and not is_pattern(file)]
     case = _validate_without_bad_keys(data)
     if case is None:
@@ -346,22 +350,25 @@ def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
     return None
 
 
-def _list_named_files(data: Any, section: type[BaseModel], folder: Path) -> Iterator[Path]:
-    """Input files that a case names, wherever else it is wrong; absolute."""
-    if isinstance(data, list):
+def list_named_files(data: Any, folder: Path, section: type[BaseModel] = Case) -> Iterator[Path]:
+    """List the files that a case names and no run replaces: all but its output, in the order of the schema.
+
+    ``data`` is a case, or what a case file holds, wherever else it is wrong, whose paths are relative to ``folder``.
+    """
+    if isinstance(data, list | tuple):
         for item in data:
-            yield from _list_named_files(item, section, folder)
-    if not isinstance(data, dict):
+            yield from list_named_files(item, folder, section)
+    if not isinstance(data, BaseModel | Mapping):
         return
-    for key, value in data.items():
+    for key, value in dict(data).items():
         field = section.model_fields.get(key)
         inner = None if field is None else find_section_in(field.annotation)
         if inner is not None and inner is not OutputSection:
-            yield from _list_named_files(value, inner, folder)
-        elif field is not None and _takes_path(field.annotation) and isinstance(value, str):
-            yield _locate(value, folder)
-        elif field is not None and _takes_path(field.annotation) and isinstance(value, list):
-            yield from (_locate(item, folder) for item in value if isinstance(item, str))
+            yield from list_named_files(value, folder, inner)
+        elif field is not None and _takes_path(field.annotation):
+            items = value if isinstance(value, list | tuple) else [value]
+            yield from (item if isinstance(item, Path) else _locate(item, folder)
+                        for item in items if isinstance(item, str | Path))
 
 
 def _locate(value: Path | str, folder: Path) -> Path:

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
+from ddic.case.loader import LoadedCase, list_named_files, list_unused_keys, load_case_leniently
+from ddic.case.own_outputs import check_output
 from ddic.case.schema import Case
 from ddic.check.images import check_decodable, check_images, check_texture
 from ddic.check.mesh import CheckedMesh, check_mesh_uses, check_most_ranks
 from ddic.check.near import check_near_mapping
-from ddic.check.output import check_output, list_named_files
 from ddic.check.report import CheckReport, describe_inputs
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
@@ -70,7 +70,7 @@ def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> L
     if output is not None:
         loaded = loaded.with_output(output)
     # Before they are checked: what changes afterwards was not.
-    stamps = FileStamps.take(list_named_files(loaded.case))
+    stamps = FileStamps.take(list_named_files(loaded.case, path.parent))
     _check(loaded, of_keys, n_ranks)
     return replace(loaded, stamps=stamps)
 

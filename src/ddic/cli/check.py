@@ -33,7 +33,6 @@ def check(case_file: Path, drawing: Path | None) -> None:
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.check.case import check_case_file
-    from ddic.check.output import list_inputs
 
     take_closed_pipes_as_errors()
     with errors_as_lines(drawing), warnings_as_lines():
@@ -43,7 +42,7 @@ def check(case_file: Path, drawing: Path | None) -> None:
         report = check_case_file(case_file)
         if drawing is not None:
             loaded = load_case(case_file)
-            require_own_output(drawing, PICTURE, list_inputs(loaded))
+            require_own_output(drawing, PICTURE, loaded.list_inputs())
             _draw(loaded.case, drawing)
     for name, value in _lines(report):
         click.echo(f"{name:<20}{value}")
