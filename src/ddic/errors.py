@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 
@@ -28,6 +30,37 @@ class InputError(DdicError):
     def __init__(self, problems: str | Sequence[str]) -> None:
         self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
         super().__init__("\n".join(self.problems))
+
+
+class Problems:
+    """Lines gathered from several checks, so that one failure does not hide the next.
+
+    Attributes
+    ----------
+    lines : list of str
+        One problem each.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    @contextmanager
+    def gathered(self, source: Path | None = None) -> Iterator[None]:
+        """Keep the lines of an InputError that is raised inside; ``source`` is a file to name before each line."""
+        try:
+            yield
+        except InputError as error:
+            self.add(error, source)
+
+    def add(self, error: InputError, source: Path | None = None) -> None:
+        """Keep the lines of an error of one check; ``source`` is a file to name before each line."""
+        prefix = "" if source is None else f"{source}: "
+        self.lines += [prefix + line for line in error.problems]
+
+    def require_none(self) -> None:
+        """Raise all of them as one InputError, where there are any."""
+        if self.lines:
+            raise InputError(self.lines)
 
 
 class ConvergenceError(DdicError):

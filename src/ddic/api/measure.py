@@ -31,7 +31,7 @@ from ddic.api.options import (
 from ddic.case.loader import LoadedCase
 from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
-from ddic.check.case import check_loaded_case, check_ranks, load_checked_case
+from ddic.check.case import check_case, check_ranks, load_checked_case
 from ddic.check.mesh import check_mesh
 from ddic.errors import ConvergenceError, DdicError, InputError
 from ddic.images.camera import identity
@@ -530,7 +530,7 @@ def _open_case(team: Team, options: Options, source: object, output: str | Path 
             return load_checked_case(Path(str(source)), team.size, file)
         given = LoadedCase(source, Path(), "") if isinstance(source, Case) else source
         loaded = given.with_output(file)
-        check_loaded_case(loaded, team.size)
+        check_case(loaded, team.size)
         return loaded
 
     inputs, frame = open_inputs(team, team.on_root(load))

@@ -20,7 +20,7 @@ from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
-from ddic.check.case import check_loaded_case, load_checked_case
+from ddic.check.case import check_case, load_checked_case
 from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
 from ddic.images.binned import ArraySource
 from ddic.images.camera import identity
@@ -88,7 +88,7 @@ def _load(source: str | Path | Case | LoadedCase, n_ranks: int) -> LoadedCase:
     if not isinstance(source, Case | LoadedCase):
         return load_checked_case(as_path(source, "case"), n_ranks)
     loaded = LoadedCase(source, Path("case"), "") if isinstance(source, Case) else source
-    check_loaded_case(loaded, n_ranks)
+    check_case(loaded, n_ranks)
     return loaded
 
 

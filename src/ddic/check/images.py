@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.case.frame_files import list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
-from ddic.errors import InputError
+from ddic.errors import InputError, Problems
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import (
     MOST_LOOKED_AT,
@@ -24,7 +24,6 @@ from ddic.images.grey_levels import (
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
-from ddic.inputs.inputs import Problems
 from ddic.inputs.mesh_source import check_weight_fits
 from ddic.io.image_file import ImageFile, hold_image, read_mask
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
-from ddic.errors import InputError
-from ddic.inputs.inputs import Problems
+from ddic.errors import InputError, Problems
 from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits, describe_mesh_source
 from ddic.io.text_files import read_partition
 from ddic.mesh.mesh import Mesh
