@@ -34,10 +34,9 @@ from ddic.case.schema import Case
 from ddic.check.case import check_case, check_ranks, load_checked_case
 from ddic.check.mesh import check_mesh
 from ddic.errors import ConvergenceError, DdicError, InputError
-from ddic.images.camera import identity
 from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
-from ddic.inputs.cameras import Camera, Frame, make_setup
+from ddic.inputs.cameras import Camera, Frame, make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import accept_mesh, convert_mapping
 from ddic.inputs.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case
@@ -469,7 +468,7 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
     # Of more frames than one some are measured after this call, by when the user may have written into arrays.
     keeps = n_frames > 1
     reference = open_given_image(team, source, "reference image", keeps=keeps)
-    camera = Camera(0, reference, make_setup(identity(), reference, "none"), loaded.case.images.noise)
+    camera = make_first_camera(reference, loaded.case.images.noise)
     if loaded.case.pgd is not None:
         rectangle = team.together(lambda: _choose_rectangle(chosen, loaded, given, reference))
         return Session(team, Inputs(loaded.case, (camera,), _build_no_mesh, rectangle=rectangle))

@@ -460,45 +460,28 @@ OF_KRYLOV = ("tolerance", "max_iterations", "inexact")
 OF_PARTITION = ("subdomains", "partition", "blocks", "partition_file")
 """Keys of [solver] that say how the mesh is split."""
 
+OF_SEARCH = ("rigid", "features", "pyramid", "largest_enriched_block")
+"""Keys of [start] that only a search asks."""
+
 
 def list_unused_keys(case: Case) -> list[str]:
     """List the keys that a valid case gives and nothing asks for, a line each: key, what it goes with, what to do."""
-    return [*_list_unused_solver_keys(case), *_list_unused_start_keys(case), *_list_other_unused_keys(case)]
-
-
-def _list_unused_solver_keys(case: Case) -> Iterator[str]:
-    method = case.solver.method
-    if method == "auto":
-        return
-    yield from _describe(case.solver, "solver", ("frames",), 'solver.method = "auto"')
-    if method != "dual":
-        yield from _describe(case.solver, "solver", OF_DUAL, 'solver.method = "dual"')
-    if method in ("assembled", "monolithic"):
-        yield from _describe(case.solver, "solver", OF_KRYLOV, 'solver.method = "dual" or "conjugate_gradient"')
-    if method == "monolithic":
-        yield from _describe(case.solver, "solver", OF_PARTITION, "a method of several subdomains")
-
-
-def _list_unused_start_keys(case: Case) -> Iterator[str]:
-    start = case.start
-    if start.from_result is not None:
-        of_search = ("rigid", "features", "pyramid", "largest_enriched_block")
-        yield from _describe(start, "start", of_search, "a start without start.from_result, which replaces it")
-        return
-    if not start.rigid and start.features:
-        yield from _describe(start, "start", ("features",), "start.rigid = true, after which they are sought")
-    if not case.discontinuity:
-        yield from _describe(start, "start", ("largest_enriched_block",), "[[discontinuity]]")
-
-
-def _list_other_unused_keys(case: Case) -> Iterator[str]:
-    if case.solver.method not in ("auto", "dual") and case.start.independent:
-        yield from _describe(case.start, "start", ("independent",), 'solver.method = "dual"')
-    if not case.near:
-        yield from _describe(case.images, "images", ("noise",), "[[near]], whose cameras it is weighed against")
-
-
-def _describe(section: BaseModel, name: str, keys: tuple[str, ...], asker: str) -> Iterator[str]:
-    for key in keys:
-        if key in section.model_fields_set:
-            yield f"{name}.{key} changes nothing here: it goes with {asker}; leave it out"
+    method, start = case.solver.method, case.start
+    searches = start.from_result is None
+    is_never_dual = method not in ("auto", "dual")
+    # Section, keys of it, what they go with, and whether that is missing.
+    rules: list[tuple[str, tuple[str, ...], str, bool]] = [
+        ("solver", ("frames",), 'solver.method = "auto"', method != "auto"),
+        ("solver", OF_DUAL, 'solver.method = "dual"', is_never_dual),
+        ("solver", OF_KRYLOV, 'solver.method = "dual" or "conjugate_gradient"', method in ("assembled", "monolithic")),
+        ("solver", OF_PARTITION, "a method of several subdomains", method == "monolithic"),
+        ("start", OF_SEARCH, "a start without start.from_result, which replaces it", not searches),
+        ("start", ("features",), "start.rigid = true, after which they are sought",
+         searches and start.features and not start.rigid),
+        ("start", ("largest_enriched_block",), "[[discontinuity]]", searches and not case.discontinuity),
+        ("start", ("independent",), 'solver.method = "dual"', is_never_dual and start.independent),
+        ("images", ("noise",), "[[near]], whose cameras it is weighed against", not case.near),
+    ]
+    return [f"{name}.{key} changes nothing here: it goes with {partner}; leave it out"
+            for name, keys, partner, is_idle in rules if is_idle
+            for key in keys if key in getattr(case, name).model_fields_set]

@@ -210,6 +210,11 @@ class MeshSection(Section):
     mapping: Annotated[MappingSection, note(default="identity")] = MappingSection()
     """From the file's units to pixels, see `[mesh.mapping]`."""
 
+    @property
+    def name(self) -> str:
+        """What messages call the mesh: its file, or the section that describes the built-in one."""
+        return "mesh.structured" if self.file is None else str(self.file)
+
     def _list_contradictions(self) -> Iterator[str]:
         if (self.file is None) == (self.structured is None):
             yield "give either mesh.file or [mesh.structured]"

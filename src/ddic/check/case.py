@@ -20,11 +20,12 @@ from ddic.check.near import check_near_mapping
 from ddic.check.report import CheckReport, describe_inputs, describe_rectangle
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
-from ddic.inputs.cameras import assign_cells, collect_cells, open_cameras, open_in_headers
+from ddic.inputs.cameras import assign_cells, collect_cells, open_cameras
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
 from ddic.inputs.rectangle import check_number_of_ranks, check_rectangle, find_rectangle_of_case
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.damaged_result import require_known_displacement
+from ddic.io.image_file import open_image
 from ddic.io.input_file import FileStamps
 from ddic.io.series_reader import read_frame_or_last
 from ddic.mesh.mesh import Mesh
@@ -167,7 +168,7 @@ def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> NDArray[np.int
     """Number of pixels of each cell in the images of the camera that measures it, (n_cells,); raises InputError."""
     if not case.near:
         return rasterize(mesh).pixel_counts
-    cameras = open_cameras(case, open_in_headers)
+    cameras = open_cameras(case, open_image)
     far, *near_cameras = cameras
     for near in near_cameras:
         check_near_mapping(far, near)

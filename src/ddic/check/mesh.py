@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.errors import InputError, Problems
-from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits, describe_mesh_source
+from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
 from ddic.io.text_files import read_partition
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
@@ -49,7 +49,7 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
     case = loaded.case
     mesh = checked.mesh
     with problems.gathered():
-        check_pixels(mesh, checked.pixel_counts, describe_mesh_source(case))
+        check_pixels(mesh, checked.pixel_counts, case.mesh.name)
     not_controlled = np.zeros(0, np.int64)
     section = case.regularization
     if section is not None:
