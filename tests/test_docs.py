@@ -10,8 +10,9 @@ import pytest
 from pydantic import BaseModel
 
 from ddic.case import schema
-from ddic.case.loader import find_section, parse_case
+from ddic.case.loader import parse_case
 from ddic.case.reference import write_tables
+from ddic.case.schema import find_section
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "ddic"

@@ -16,8 +16,8 @@ from scipy import ndimage
 
 from ddic.api.measure import measure
 from ddic.api.options import make_case
-from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import list_deformed
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
 from ddic.check.case import check_case, load_checked_case

@@ -1,63 +1,27 @@
 """Case files: read, checked against the schema, paths made absolute.
 
-Sections of the schema by their place in a case file; what is wrong with a case file, in plain words; keys that are
-right, but change nothing beside what else it says.
+What is wrong with a case file, in plain words; keys that are right, but change nothing beside what else it says.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ddic.case.frame_files import find_frames, is_pattern, is_series
-from ddic.case.schema import Case, OutputSection
+from ddic.case.named_files import find_frames, is_pattern, is_series, list_named_files
+from ddic.case.schema import Case, Location, find_section
 from ddic.errors import InputError
 from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
 from ddic.io.text_files import parse_toml, read_text
 from ddic.mesh.mesh import Mesh
 from ddic.partition.ties import Tying
-
-Location = tuple[int | str, ...]
-"""Keys and places in lists that lead to a value of a case file, from outside in."""
-
-
-def find_section(location: Location) -> type[BaseModel] | None:
-    """Find the schema of a section by the keys that lead to it; None where there is no section at that place.
-
-    Places in lists are passed over.
-    """
-    section: type[BaseModel] = Case
-    for step in location:
-        if isinstance(step, int):
-            continue
-        field = section.model_fields.get(step)
-        inner = None if field is None else find_section_in(field.annotation)
-        if inner is None:
-            return None
-        section = inner
-    return section
-
-
-def find_section_in(annotation: Any) -> type[BaseModel] | None:
-    """Find the section inside an annotation such as ``tuple[Circle, ...]`` or ``Section | None``.
-
-    It is the first model that the annotation names; None where it names none.
-    """
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for part in get_args(annotation):
-        found = find_section_in(part)
-        if found is not None:
-            return found
-    return None
-
 
 EXPECTED = {
     "string_type": "a text in quotes",
@@ -350,31 +314,6 @@ def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
     return None
 
 
-def list_named_files(data: Any, folder: Path, section: type[BaseModel] = Case) -> Iterator[Path]:
-    """List the files that a case names and no run replaces: all but its output, in the order of the schema.
-
-    ``data`` is a case, or what a case file holds, wherever else it is wrong, whose paths are relative to ``folder``.
-    """
-    if isinstance(data, list | tuple):
-        for item in data:
-            yield from list_named_files(item, folder, section)
-    if not isinstance(data, BaseModel | Mapping):
-        return
-    for key, value in dict(data).items():
-        field = section.model_fields.get(key)
-        inner = None if field is None else find_section_in(field.annotation)
-        if inner is not None and inner is not OutputSection:
-            yield from list_named_files(value, folder, inner)
-        elif field is not None and _takes_path(field.annotation):
-            items = value if isinstance(value, list | tuple) else [value]
-            yield from (item if isinstance(item, Path) else _locate(item, folder)
-                        for item in items if isinstance(item, str | Path))
-
-
-def _locate(value: Path | str, folder: Path) -> Path:
-    return find_real_path(folder / value)
-
-
 def _require_text_name(path: Path) -> None:
     """Refuse a case in a folder whose name is no text, which results and messages could not hold."""
     try:
@@ -383,10 +322,6 @@ def _require_text_name(path: Path) -> None:
         name = str(path).encode("utf-8", "backslashreplace").decode()
         raise InputError(f"{name}: the path of this case file is no UTF-8 text, which results name; rename the folder "
                          "or the file") from error
-
-
-def _takes_path(annotation: Any) -> bool:
-    return annotation is Path or any(_takes_path(inner) for inner in get_args(annotation))
 
 
 def _remove(data: Any, location: Location) -> None:
@@ -443,7 +378,7 @@ def _absolute(model: Model, folder: Path) -> Model:
 def _absolute_value(value: Any, folder: Path) -> Any:
     """The same value with absolute paths in it, at any depth."""
     if isinstance(value, Path):
-        return _locate(value, folder)
+        return find_real_path(folder / value)
     if isinstance(value, BaseModel):
         return _absolute(value, folder)
     if isinstance(value, tuple):

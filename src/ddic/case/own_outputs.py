@@ -17,8 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
-from ddic.case.frame_files import PATTERN
-from ddic.case.loader import LoadedCase, list_named_files
+from ddic.case.loader import LoadedCase
+from ddic.case.named_files import PATTERN, list_named_files
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.io.input_file import find_real_path, is_readable_file

@@ -19,8 +19,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from ddic.case.loader import find_section, find_section_in
-from ddic.case.schema import Case
+from ddic.case.schema import Case, find_section, find_section_in
 from ddic.errors import InputError
 
 HEAD = ("| key | type | default | unit | meaning |", "|---|---|---|---|---|")

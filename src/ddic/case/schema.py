@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
@@ -695,3 +695,38 @@ class Case(Section):
         for what, (is_given, remedy) in refused.items():
             if is_given:
                 yield f"{what} does not go with [pgd]; {remedy}"
+
+
+Location = tuple[int | str, ...]
+"""Keys and places in lists that lead to a value of a case file, from outside in."""
+
+
+def find_section(location: Location) -> type[BaseModel] | None:
+    """Find the schema of a section by the keys that lead to it; None where there is no section at that place.
+
+    Places in lists are passed over.
+    """
+    section: type[BaseModel] = Case
+    for step in location:
+        if isinstance(step, int):
+            continue
+        field = section.model_fields.get(step)
+        inner = None if field is None else find_section_in(field.annotation)
+        if inner is None:
+            return None
+        section = inner
+    return section
+
+
+def find_section_in(annotation: Any) -> type[BaseModel] | None:
+    """Find the section inside an annotation such as ``tuple[Circle, ...]`` or ``Section | None``.
+
+    It is the first model that the annotation names; None where it names none.
+    """
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for part in get_args(annotation):
+        found = find_section_in(part)
+        if found is not None:
+            return found
+    return None

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_cameras
-from ddic.case.loader import LoadedCase, list_named_files, list_unused_keys, load_case_leniently
+from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
+from ddic.case.named_files import list_cameras, list_named_files
 from ddic.case.own_outputs import check_output
 from ddic.case.schema import Case
 from ddic.check.images import check_decodable, check_images, check_texture

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_deformed
+from ddic.case.named_files import list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError, Problems
 from ddic.images.binned import ArraySource

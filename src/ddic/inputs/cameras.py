@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_cameras, list_deformed
+from ddic.case.named_files import list_cameras, list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, identity, similarity

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import choose_frame, list_cameras, list_deformed
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import choose_frame, list_cameras, list_deformed
 from ddic.case.schema import Case
 from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource

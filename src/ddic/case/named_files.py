@@ -1,21 +1,49 @@
-"""The deformed images of a case: one, or those of a series, in order and with their times."""
+"""The files that a case names: what it reads; its deformed images, one or a series, in order and with their times."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from glob import glob
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, get_args
 
-from ddic.case.schema import Case, ImagesSection, NearSection
+from pydantic import BaseModel
+
+from ddic.case.schema import Case, ImagesSection, NearSection, OutputSection, find_section_in
 from ddic.errors import InputError
-from ddic.io.input_file import is_readable_file
+from ddic.io.input_file import find_real_path, is_readable_file
 
 Section = TypeVar("Section", ImagesSection, NearSection)
 
 PATTERN = re.compile(r"[*?\[]")
 """What makes a path a pattern."""
+
+
+def list_named_files(data: Any, folder: Path, section: type[BaseModel] = Case) -> Iterator[Path]:
+    """List the files that a case names and no run replaces: all but its output, in the order of the schema.
+
+    ``data`` is a case, or what a case file holds, wherever else it is wrong, whose paths are relative to ``folder``.
+    """
+    if isinstance(data, list | tuple):
+        for item in data:
+            yield from list_named_files(item, folder, section)
+    if not isinstance(data, BaseModel | Mapping):
+        return
+    for key, value in dict(data).items():
+        field = section.model_fields.get(key)
+        inner = None if field is None else find_section_in(field.annotation)
+        if inner is not None and inner is not OutputSection:
+            yield from list_named_files(value, folder, inner)
+        elif field is not None and _takes_path(field.annotation):
+            items = value if isinstance(value, list | tuple) else [value]
+            yield from (item if isinstance(item, Path) else find_real_path(folder / item)
+                        for item in items if isinstance(item, str | Path))
+
+
+def _takes_path(annotation: Any) -> bool:
+    return annotation is Path or any(_takes_path(inner) for inner in get_args(annotation))
 
 
 def is_series(case: Case) -> bool:
