@@ -107,18 +107,7 @@ class WriteError(DdicError):
 
 
 def is_disk_failure(error: OSError) -> bool:
-    """Tell whether a disk is full, broken or closed to writing, for which nobody's input is to blame.
-
-    Parameters
-    ----------
-    error : OSError
-        As the system raised it.
-
-    Returns
-    -------
-    bool
-        Whether it is.
-    """
+    """Tell whether a disk is full, broken or closed to writing, for which nobody's input is to blame."""
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
@@ -126,18 +115,7 @@ _LISTED = 10
 
 
 def list_first(numbers: Iterable[int]) -> str:
-    """List the first ten numbers, for a message.
-
-    Parameters
-    ----------
-    numbers : iterable of int
-        In any order.
-
-    Returns
-    -------
-    str
-        Separated by commas, with dots where there are more.
-    """
+    """List the first ten numbers, for a message, separated by commas, with dots where there are more."""
     listed = [str(n) for n in islice(numbers, _LISTED + 1)]
     return ", ".join([*listed[:_LISTED], *(["..."] if len(listed) > _LISTED else [])])
 
@@ -146,33 +124,11 @@ E = TypeVar("E", bound=BaseException)
 
 
 def as_collective(error: E) -> E:
-    """Mark an error as raised by every rank at the same place: the job may end without an abort.
-
-    Parameters
-    ----------
-    error : exception
-        The same on all ranks.
-
-    Returns
-    -------
-    exception
-        The error itself, to be raised.
-    """
+    """Mark an error as raised by every rank at the same place, the same on all: the job may end without an abort."""
     error.collective = True  # type: ignore[attr-defined]  # exceptions carry attributes through pickling
     return error
 
 
 def is_collective(error: BaseException) -> bool:
-    """Tell whether every rank raised this error.
-
-    Parameters
-    ----------
-    error : exception
-        As it was caught.
-
-    Returns
-    -------
-    bool
-        Whether the job may end without an abort.
-    """
+    """Tell whether every rank raised this error, so that the job may end without an abort."""
     return bool(getattr(error, "collective", False))

@@ -22,7 +22,7 @@ from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import assign_cells, collect_cells, open_cameras
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
-from ddic.inputs.rectangle import check_number_of_ranks, check_rectangle, find_rectangle_of_case
+from ddic.inputs.rectangle import check_rectangle, find_rectangle_of_case
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.damaged_result import require_known_displacement
 from ddic.io.image_file import open_image
@@ -31,6 +31,7 @@ from ddic.io.series_reader import read_frame_or_last
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.partition.ties import Tying
+from ddic.separated.band_sums import N_BANDS
 from ddic.solvers.petsc import require_packages
 
 
@@ -186,7 +187,9 @@ def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
     needs.
     """
     if loaded.case.pgd is not None:
-        check_number_of_ranks(n_ranks)
+        if n_ranks > N_BANDS:
+            raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
+                             f"were started; start at most {N_BANDS}")
         return
     solver = loaded.case.solver
     require_packages(str(loaded.path), solver.method, solver.local_inverse, n_ranks)

@@ -14,7 +14,6 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.repair import check_inside
 from ddic.mesh.structured import build_structured_mesh, count_cells
 from ddic.mesh.topology import BOUNDARY
-from ddic.separated.band_sums import N_BANDS
 from ddic.separated.field import LineElements
 from ddic.separated.separated_regularization import ControlledLines
 
@@ -120,13 +119,6 @@ def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -
         raise InputError(f"[regularization]: {NO_INNER_NODE.replace('give regularization.eta', 'leave it out')}")
     if section.cut_off_wavelength is not None:
         check_wavelength_fits(section.cut_off_wavelength, rectangle.element_size)
-
-
-def check_number_of_ranks(n_ranks: int) -> None:
-    """Refuse, with an InputError, MPI ranks that would have no band of rows."""
-    if n_ranks > N_BANDS:
-        raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
-                         f"were started; start at most {N_BANDS}")
 
 
 def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle) -> ControlledLines:
