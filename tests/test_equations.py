@@ -300,6 +300,13 @@ def test_docstring_names_what_it_cites(place: str, text: str) -> None:
         assert wrong == [], f"{place} cites Eq. {citation.numbers} and names another thing"
 
 
+@pytest.mark.parametrize("folder", ["accept", "bench", "docs", "examples", "tests"])
+def test_cited_equations_exist(folder: str) -> None:
+    for file in (path for ending in ("md", "py") for path in sorted((ROOT / folder).rglob(f"*.{ending}"))):
+        for citation in find_citations(file.read_text(encoding="utf-8")):
+            assert citation.paper is None or citation.find_equations(), file
+
+
 @pytest.mark.parametrize("row", IMPLEMENTED, ids=lambda row: f"{row[0]} {row[2]}".replace("`", ""))
 def test_function_of_an_equation_names_it(row: list[str]) -> None:
     name, file = row[2].strip("`"), row[3].strip("`")

@@ -129,7 +129,7 @@ _GAP_CHUNK_CELLS = 16_000
 
 def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: NDArray[np.float64],
                          rotation: NDArray[np.float64] | None = None) -> sparse.csr_matrix:
-    """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 9 of [BP17]).
+    """Assemble diag(row_weights) T^T K T: Kbar = P K of Eq. 9 of [BP17], where P is among the weights.
 
     K acts on the nodes; T^T K T, (n_unknowns, n_unknowns), are the forces on the unknowns: those on tied nodes are then
     their masters', as much as these move them. ``rotation`` is R by which the specimen has turned: the stiffness is
