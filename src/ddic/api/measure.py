@@ -39,7 +39,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera, Frame, make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import accept_mesh, convert_mapping
-from ddic.inputs.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case
+from ddic.inputs.rectangle import Rectangle, build_rectangle, check_rectangle, find_rectangle
 from ddic.inputs.start_points import StartPoints, check_start_points
 from ddic.io.input_file import as_path
 from ddic.io.mesh_file import convert_mesh
@@ -503,7 +503,7 @@ def _choose_rectangle(chosen: Options, loaded: LoadedCase, mesh: Mesh | None, re
     """What PGD-DIC measures of images in memory; raises InputError where it cannot."""
     if chosen.kinematics is not None:
         _refuse_kinematics()
-    rectangle = find_rectangle_of_case(loaded.case) if mesh is None else find_rectangle(mesh)
+    rectangle = build_rectangle(loaded.case) if mesh is None else find_rectangle(mesh)
     check_rectangle(loaded.case, rectangle, reference.image.width, reference.image.height)
     return rectangle
 

@@ -22,7 +22,7 @@ from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import assign_cells, collect_cells, open_cameras
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
-from ddic.inputs.rectangle import check_rectangle, find_rectangle_of_case
+from ddic.inputs.rectangle import build_rectangle, check_rectangle
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.damaged_result import require_known_displacement
 from ddic.io.image_file import open_image
@@ -118,7 +118,7 @@ def _check_on_rectangle(loaded: LoadedCase, reference: ImageSource | None, probl
     if reference is None:
         return None
     with problems.gathered(loaded.path):
-        rectangle = find_rectangle_of_case(loaded.case)
+        rectangle = build_rectangle(loaded.case)
         check_rectangle(loaded.case, rectangle, reference.width, reference.height)
         return describe_rectangle(loaded.case, reference, rectangle)
     return None

@@ -75,14 +75,14 @@ def _draw(case: Case, drawing: Path) -> None:
 def _build_mesh(case: Case, width: int, height: int) -> Mesh:
     """The mesh of a case; that of the result with [pgd], whose elements may be single pixels."""
     from ddic.inputs.mesh_source import build_meshes
-    from ddic.inputs.rectangle import choose_output_lines, find_rectangle_of_case
+    from ddic.inputs.rectangle import build_rectangle, choose_output_lines
     from ddic.mesh.cell_type import Q4
     from ddic.mesh.mesh import build_mesh
     from ddic.mesh.structured import Grid
 
     if case.pgd is None:
         return build_meshes(case, width, height)[0]
-    grid = Grid(*choose_output_lines(case, find_rectangle_of_case(case)))
+    grid = Grid(*choose_output_lines(case, build_rectangle(case)))
     return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
 
 

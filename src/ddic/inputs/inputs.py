@@ -21,7 +21,7 @@ from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
 from ddic.inputs.mesh_source import build_meshes
-from ddic.inputs.rectangle import Rectangle, find_rectangle_of_case
+from ddic.inputs.rectangle import Rectangle, build_rectangle
 from ddic.io.input_file import FileStamps
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
@@ -99,7 +99,7 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.width, image.height),
                     case_path=loaded.path, case_text=loaded.text,
-                    rectangle=None if case.pgd is None else find_rectangle_of_case(case),
+                    rectangle=None if case.pgd is None else build_rectangle(case),
                     n_frames=len(list_deformed(case.images)))
     return inputs, open_frame(case, opener, number)
 

@@ -33,26 +33,18 @@ NO_INNER_NODE = ("the mesh has no interior node, so no wavelength can be given a
 """What is said of a mesh all of whose nodes lie on its boundary."""
 
 
-def build_mesh(case: Case, width: int, height: int) -> Mesh:
-    """Read or make the case's mesh, repair it and check that it lies in the image.
-
-    Paths of the case are absolute; the mesh is fit for measuring, pixels. Raises InputError, with the mesh's file or
-    section named, on all that ``read_mesh``, ``build_structured_mesh``, ``repair`` and ``check_inside`` refuse.
-    """
-    return _mesh_of(case.mesh, case.mesh.name, width, height)
-
-
 def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
     """Build the case's mesh with the near fields' own meshes in it, tied to what is left of the far elements.
 
-    Sizes and nodes are in far-field pixels; there is no tying where no near field has a mesh of its own. Raises
-    InputError on all that ``build_mesh`` and ``tie_meshes`` refuse.
+    Paths of the case are absolute, sizes and nodes in far-field pixels; the mesh lies in the image and is fit for
+    measuring. There is no tying where no near field has a mesh of its own. Raises InputError, with the mesh's file or
+    section named, on all that ``read_mesh``, ``build_structured_mesh``, ``accept_mesh`` and ``tie_meshes`` refuse.
     """
-    far = build_mesh(case, width, height)
+    far = _build_mesh(case.mesh, case.mesh.name, width, height)
     near = {}
     for number, section in enumerate(case.near, start=1):
         if section.mesh is not None:
-            near[number] = _mesh_of(section.mesh, f"near, entry {number}: {section.mesh.name}", width, height)
+            near[number] = _build_mesh(section.mesh, f"near, entry {number}: {section.mesh.name}", width, height)
     if not near:
         return far, None
     return tie_meshes(far, near)
@@ -69,7 +61,7 @@ def build_mesh_anywhere(case: Case) -> Mesh:
     return repair(_raw_mesh(case.mesh, 0, 0))
 
 
-def _mesh_of(section: MeshSection, name: str, width: int, height: int) -> Mesh:
+def _build_mesh(section: MeshSection, name: str, width: int, height: int) -> Mesh:
     raw = _raw_mesh(section, width, height)
     return accept_mesh(raw, name, width, height, is_built_in=section.structured is not None)
 

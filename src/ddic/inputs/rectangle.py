@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import Case, RegularizationSection, StructuredSection
+from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError
 from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
 from ddic.mesh.mesh import Mesh
@@ -59,12 +59,14 @@ class Rectangle:
         return build_structured_mesh(self.bounds, min(self.along_x.length, self.along_y.length) / COARSE_CELLS)
 
 
-def build_rectangle(section: StructuredSection) -> Rectangle:
-    """Build the lines of a structured mesh: those that its Q4 elements would have.
+def build_rectangle(case: Case) -> Rectangle:
+    """Build the lines that a case with [pgd] asks for: those that the Q4 elements of its structured mesh would have.
 
-    Raises InputError where the section asks for something other than a whole rectangle of Q4 elements of a pixel or
-    more.
+    Raises InputError where it asks for something other than a whole rectangle of Q4 elements of a pixel or more.
     """
+    section = case.mesh.structured
+    if section is None:
+        raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
     if section.cell != "Q4":
         raise InputError(f'mesh.structured.cell = "{section.cell}": [pgd] measures on "Q4" elements; leave the key out')
     given = [key for key in ("circles", "polygons", "mask") if getattr(section, key)]
@@ -90,16 +92,6 @@ def find_rectangle(mesh: Mesh) -> Rectangle:
         raise InputError("mesh: [pgd] measures on a whole rectangle of Q4 elements between straight lines, such as "
                          "ddic.structured_mesh makes; leave [pgd] out for other meshes")
     return Rectangle(LineElements(x), LineElements(y))
-
-
-def find_rectangle_of_case(case: Case) -> Rectangle:
-    """Find the rectangle that a case file with [pgd] asks for.
-
-    Raises InputError where there is no ``[mesh.structured]``.
-    """
-    if case.mesh.structured is None:
-        raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
-    return build_rectangle(case.mesh.structured)
 
 
 def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -> None:
