@@ -343,11 +343,15 @@ def parse_case(text: str, path: Path) -> Case:
     word = data.get("discontinuity")
     if isinstance(word, str) and word != DETECT:
         raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
-    data = convert_shorthand(data)
+    return validate_case(convert_shorthand(data), str(path))
+
+
+def validate_case(data: Mapping[str, Any], source: str) -> Case:
+    """Validate what a case says, its shorthand written out; ``source`` stands before each line of the InputError."""
     try:
         return _validate(data)
     except ValidationError as error:
-        raise InputError([f"{path}: {line}" for line in describe(error, data)]) from error
+        raise InputError([f"{source}: {line}" for line in describe(error, data)]) from error
 
 
 def _validate(data: Mapping[str, Any]) -> Case:
