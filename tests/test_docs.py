@@ -37,7 +37,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[output]": schema.OutputSection,
     "[acquisition]": schema.AcquisitionSection,
 }
-HOLES = {schema.Circle, schema.Polygon}
+HOLES = {schema.CircleSection, schema.PolygonSection}
 
 named = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 

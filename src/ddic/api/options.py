@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.case.loader import convert_shorthand, validate_case
+from ddic.case.loader import convert_shorthand, convert_to_case
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
 from ddic.images.binned import ArraySource
@@ -162,7 +162,7 @@ def make_case(settings: Mapping[str, Any]) -> Case:
     except TypeError as error:
         raise InputError(f"options: {error}") from error
     _refuse_what_arguments_say(data)
-    return validate_case(_complete(data), "options")
+    return convert_to_case(_complete(data), "options")
 
 
 def _refuse_what_arguments_say(data: Mapping[str, Any]) -> None:

@@ -343,11 +343,11 @@ def parse_case(text: str, path: Path) -> Case:
     word = data.get("discontinuity")
     if isinstance(word, str) and word != DETECT:
         raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
-    return validate_case(convert_shorthand(data), str(path))
+    return convert_to_case(convert_shorthand(data), str(path))
 
 
-def validate_case(data: Mapping[str, Any], source: str) -> Case:
-    """Validate what a case says, its shorthand written out; ``source`` stands before each line of the InputError."""
+def convert_to_case(data: Mapping[str, Any], source: str) -> Case:
+    """Convert what a case says, its shorthand written out, to the case; ``source`` stands before each line of the InputError."""
     try:
         return _validate(data)
     except ValidationError as error:

@@ -126,7 +126,7 @@ class ImagesSection(Section):
             yield "pixel_size and length_unit go together: give both, or neither"
 
 
-class Circle(Section):
+class CircleSection(Section):
     """A circular hole, pixels."""
 
     center: Annotated[Point, note(unit="px")]
@@ -136,7 +136,7 @@ class Circle(Section):
     """Radius."""
 
 
-class Polygon(Section):
+class PolygonSection(Section):
     """A polygonal hole, vertices in pixels."""
 
     vertices: Annotated[Points, Field(min_length=3)]
@@ -155,10 +155,10 @@ class StructuredSection(Section):
     cell: Literal["Q4", "T3"] = "Q4"
     """Quadrilaterals, or triangles with alternating diagonals."""
 
-    circles: tuple[Circle, ...] = ()
+    circles: tuple[CircleSection, ...] = ()
     """Circular holes, see below."""
 
-    polygons: tuple[Polygon, ...] = ()
+    polygons: tuple[PolygonSection, ...] = ()
     """Polygonal holes, see below."""
 
     mask: Path | None = None
@@ -719,7 +719,7 @@ def find_section(location: Location) -> type[BaseModel] | None:
 
 
 def find_section_in(annotation: Any) -> type[BaseModel] | None:
-    """Find the section inside an annotation such as ``tuple[Circle, ...]`` or ``Section | None``.
+    """Find the section inside an annotation such as ``tuple[CircleSection, ...]`` or ``Section | None``.
 
     It is the first model that the annotation names; None where it names none.
     """

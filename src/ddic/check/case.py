@@ -20,7 +20,7 @@ from ddic.check.near import check_near_mapping
 from ddic.check.report import CheckReport, describe_inputs, describe_rectangle
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
-from ddic.inputs.cameras import assign_cells, collect_cells, open_cameras
+from ddic.inputs.cameras import assign_cells, collect_measured_cells, open_cameras
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
 from ddic.inputs.rectangle import build_rectangle, check_rectangle
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
@@ -175,7 +175,7 @@ def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> NDArray[np.int
         check_near_mapping(far, near)
     labels = assign_cells(cameras, mesh, tying)
     counts = np.zeros(mesh.n_cells, dtype=np.int64)
-    for measured in collect_cells(cameras, mesh, labels):
+    for measured in collect_measured_cells(cameras, mesh, labels):
         counts[measured.cells] = rasterize(measured.seen).pixel_counts
     return counts
 

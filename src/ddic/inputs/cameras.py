@@ -224,7 +224,7 @@ class MeasuredCells:
     seen: Mesh
 
 
-def collect_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
+def collect_measured_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
     """Collect the cells of each camera; ``labels``, (n_cells,), give the camera of each cell."""
     if len(cameras) == 1:
         return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]
