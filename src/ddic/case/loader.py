@@ -347,7 +347,10 @@ def parse_case(text: str, path: Path) -> Case:
 
 
 def convert_to_case(data: Mapping[str, Any], source: str) -> Case:
-    """Convert what a case says, its shorthand written out, to the case; ``source`` stands before each line of the InputError."""
+    """Validate what a case says, its shorthand written out.
+
+    ``source`` is named before each line of the InputError that says what is wrong.
+    """
     try:
         return _validate(data)
     except ValidationError as error:

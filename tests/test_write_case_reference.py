@@ -1,5 +1,9 @@
+"""The tables of docs/case-file.md say what the schema says."""
+
 from __future__ import annotations
 
+import importlib
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -7,8 +11,11 @@ import pytest
 from pydantic import BaseModel, Field
 
 from ddic.case import schema
-from ddic.case.reference import describe_keys, format_table, write_tables
 from ddic.errors import InputError
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+
+reference = importlib.import_module("write_case_reference")
 
 SECTIONS = [value for value in vars(schema).values()
             if isinstance(value, type) and issubclass(value, schema.Section) and value is not schema.Section]
@@ -45,7 +52,7 @@ class Example(BaseModel):
 
 
 def test_a_line_tells_type_default_unit_and_meaning() -> None:
-    assert format_table(Example)[2:] == [
+    assert reference.format_table(Example)[2:] == [
         "| `file` | path | required | | A file. |",
         "| `length` | number > 0 | none | px | A length. |",
         "| `ratio` | number > 0 and < 1 | `1e-6` | | A ratio. |",
@@ -64,18 +71,18 @@ def test_a_line_tells_type_default_unit_and_meaning() -> None:
 def test_every_key_is_described(section: type[schema.Section]) -> None:
     # Sections at the top level have chapters of their own.
     fields = section.model_fields if section is not schema.Case else {"title": section.model_fields["title"]}
-    assert [name for name in fields if not describe_keys(section).get(name)] == []
+    assert [name for name in fields if not reference.describe_keys(section).get(name)] == []
 
 
 def test_what_is_not_below_a_mark_stays() -> None:
     text = "Words.\n\n<!-- keys: output -->\n| old | table |\n| 1 | 2 |\n\nMore words.\n| another | table |\n"
-    written = write_tables(text)
+    written = reference.write_tables(text)
     assert written.startswith("Words.\n\n<!-- keys: output -->\n| key | type |")
     assert written.endswith("|\n\nMore words.\n| another | table |\n")
     assert "| old |" not in written
-    assert write_tables(written) == written
+    assert reference.write_tables(written) == written
 
 
 def test_a_mark_of_no_section_is_refused() -> None:
     with pytest.raises(InputError, match=r"mesh\.volume"):
-        write_tables("<!-- keys: mesh.volume -->\n")
+        reference.write_tables("<!-- keys: mesh.volume -->\n")
