@@ -136,12 +136,17 @@ def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKi
 
     ``mapping`` leads from the specimen's frame to the camera's pixels, ``motion`` is how the set-up may move.
     """
-    width, height = reference.image.width, reference.image.height
-    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+    corners = list_corners(reference.image)
     seen = mapping.to_specimen(corners)
     centre = mapping.to_specimen(corners.mean(axis=0, keepdims=True))[0]
     farthest = float(np.linalg.norm(seen - centre, axis=1).max())
     return CameraSetup(mapping, motion, centre, farthest)
+
+
+def list_corners(image: ImageSource) -> NDArray[np.float64]:
+    """List the centres of the pixels at an image's corners, (4, 2), around it."""
+    right, bottom = image.width - 1.0, image.height - 1.0
+    return np.array([[0.0, 0.0], [right, 0.0], [right, bottom], [0.0, bottom]])
 
 
 def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> CameraMapping:
