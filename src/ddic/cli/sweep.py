@@ -110,10 +110,9 @@ def _check_outputs(case_file: Path, folder: Path) -> None:
     """Refuse outputs that would replace an input."""
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, TRIALS, require_own_output
-    from ddic.check.output import list_inputs
 
     for path, kind in zip(_list_outputs(folder, case_file.stem), (TRIALS, PICTURE), strict=True):
-        require_own_output(path, kind, list_inputs(load_case(case_file)))
+        require_own_output(path, kind, load_case(case_file).list_inputs())
 
 
 def _list_outputs(folder: Path, stem: str) -> tuple[Path, Path]:

@@ -1,7 +1,7 @@
 """Curves: convergence of the Krylov iterations (Fig. 11 of [BP17]), of Gauss-Newton and of PGD-DIC, and more.
 
-Gauss-Newton and PGD-DIC (Fig. 8 of [PP12]) by corrections and residual against their number; the functions of x and of
-y that a separated displacement is made of (Fig. 9 and 10 of [PP12]); opening of discontinuities along them; measurement
+Gauss-Newton and PGD-DIC (Fig. 8a of [PP12]) by corrections and residual against their number; the functions of x and of
+y that a separated displacement is made of (Fig. 9 of [PP12]); opening of discontinuities along them; measurement
 uncertainty against the size of the elements [RRH07], [RHR08]; displacement and strain along a line, with a band of what
 noise leaves in them; a sweep over cut-off wavelengths and element sizes.
 """

@@ -1,6 +1,6 @@
 """A value at the nodes or on the cells in colour, over the reference image where there is one.
 
-Maps of displacement, also around near fields (Fig. 4 of [BP17]), of strain and of the difference between two measured
+Maps of displacement, also around near fields, of strain and of the difference between two measured
 fields (Fig. 10), the deformed mesh (Fig. 9), and an image thinned out to what a figure can show. Limits of colours are
 in the unit that is drawn.
 """

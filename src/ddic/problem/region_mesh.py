@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import PHASES, Material, measure_gap_energies
-from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_cells
+from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_measured_cells
 from ddic.inputs.inputs import Inputs
 from ddic.io.text_files import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
@@ -98,7 +98,7 @@ class RegionMesh:
     measured : list of MeasuredCells
         Cells of each camera.
     controlled : (n_unknowns,) array of bool
-        Whether the equilibrium row of each unknown is controlled: P of Eq. 11 of [BP17].
+        Whether the equilibrium row of each unknown is controlled: P of Eq. 9 of [BP17].
     interior : (n_nodes,) array of bool
         Nodes inside the mesh around which the first camera measures every cell: there texture is weighed against
         mechanics.
@@ -160,7 +160,7 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
     region = cut_region(inputs, mesh, labels)
     if region is not None:
         return _cut(inputs, region)
-    measured = collect_cells(inputs.cameras, mesh, labels)
+    measured = collect_measured_cells(inputs.cameras, mesh, labels)
     costs = _costs(inputs.cameras, mesh, measured)
     boundary = find_boundary_nodes(mesh) if tying is None else tying.boundary
     kinematics = _choose_kinematics(inputs, mesh, tying)
@@ -181,14 +181,14 @@ def _cut(inputs: Inputs, region: CutRegion) -> RegionMesh:
     cut, cameras, mesh = region.cut, inputs.cameras, region.kinematics.mesh
     labels = region.cameras[region.cell_of]
     # The start looks at the region as a whole.
-    measured = collect_cells(cameras, region.whole, region.cameras)
+    measured = collect_measured_cells(cameras, region.whole, region.cameras)
     boundary = cut.find_with_phantoms(find_boundary_nodes(region.whole))
     controlled_nodes = _controlled_nodes(inputs.case.regularization, cut.mesh, boundary)
     interior = region.find_nodes_away_from_lines()
     interior[boundary] = False
     if len(cameras) > 1:
         interior &= _only_first_camera(mesh, labels, len(cameras), None)
-    costs = _costs(cameras, mesh, collect_cells(cameras, mesh, labels))
+    costs = _costs(cameras, mesh, collect_measured_cells(cameras, mesh, labels))
     return RegionMesh(inputs, region.kinematics, None, labels, costs, measured,
                       region.kinematics.controlled(controlled_nodes), interior, region)
 
