@@ -301,10 +301,10 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
     of_strain = math.nan if noise is not None else _find_level(result, samples, schema.SIGMA_NODAL_STRAIN[:2])
     is_local = isinstance(probe, PointProbe | LineProbe) and not math.isnan(of_strain)
     strain_noise = of_strain if is_local else level * find_strain_noise(probe, chain)
-    if isinstance(probe, Extensometer):
-        return Metrology(math.nan, math.nan, strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
-    return Metrology(level * find_displacement_noise(probe, chain), find_displacement_resolution(probe, chain),
-                     strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
+    of_displacement = math.nan, math.nan
+    if not isinstance(probe, Extensometer):
+        of_displacement = level * find_displacement_noise(probe, chain), find_displacement_resolution(probe, chain)
+    return Metrology(*of_displacement, strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
