@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.kinematics.nodal import NodalRegion
 from ddic.parallel.distribution import split_evenly
-from ddic.parallel.field import ByView, Field, add_views, multiply_fields, sum_views
+from ddic.parallel.field import ByView, Field, add_views, multiply_fields
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
@@ -143,6 +143,6 @@ def test_sums_over_views_are_equal_to_the_last_bit_on_any_number_of_ranks() -> N
     values = by_view(team)
     for added, of_views in zip(add_views(values), values, strict=True):
         np.testing.assert_array_equal(added, np.sum(of_views, axis=0))
-    found, expected = sum_views(team, values), sum_views(alone, by_view(alone))
+    found, expected = team.ordered_sum(add_views(values)), alone.ordered_sum(add_views(by_view(alone)))
     np.testing.assert_array_equal(found, expected)
     np.testing.assert_allclose(found, np.sum(by_view(alone).flat, axis=0), rtol=1e-13)

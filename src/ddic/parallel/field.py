@@ -17,9 +17,30 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+R = TypeVar("R")
 
 
-class Field(Sequence[Array]):
+class _BySubdomain(Sequence[T]):
+    """One thing for each owned subdomain, in their order, never changed."""
+
+    def __init__(self, parts: Iterable[T]) -> None:
+        self.parts = tuple(parts)
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    @overload
+    def __getitem__(self, place: int) -> T: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> tuple[T, ...]: ...
+
+    def __getitem__(self, place: int | slice) -> T | tuple[T, ...]:
+        return self.parts[place]
+
+
+class Field(_BySubdomain[Array]):
     """Unknowns, their changes or the forces on them: an array for each owned subdomain, in their order.
 
     Fields are never changed: operations make new ones. Those that are collective say so, and give all ranks the same to
@@ -39,9 +60,9 @@ class Field(Sequence[Array]):
     __array_ufunc__ = None
 
     def __init__(self, team: Team, subdomains: Iterable[Subdomain], parts: Iterable[Array]) -> None:
+        super().__init__(parts)
         self.team = team
         self.subdomains = tuple(subdomains)
-        self.parts = tuple(parts)
 
     @classmethod
     def zero(cls, team: Team, subdomains: Sequence[Subdomain]) -> Field:
@@ -51,20 +72,6 @@ class Field(Sequence[Array]):
     def with_parts(self, parts: Iterable[Array]) -> Field:
         """Give another field of the same subdomains."""
         return Field(self.team, self.subdomains, parts)
-
-    # ------------------------------------------------------------------------------------------------ a sequence
-
-    def __len__(self) -> int:
-        return len(self.parts)
-
-    @overload
-    def __getitem__(self, place: int) -> Array: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> tuple[Array, ...]: ...
-
-    def __getitem__(self, place: int | slice) -> Array | tuple[Array, ...]:
-        return self.parts[place]
 
     # ------------------------------------------------------------------------------------------------ linear algebra
 
@@ -124,11 +131,7 @@ def multiply_fields(fields: Sequence[Field], weights: Sequence[Array]) -> Array:
     return fields[0].team.ordered_sum(products)
 
 
-T = TypeVar("T")
-R = TypeVar("R")
-
-
-class ByView(Sequence[tuple[T, ...]], Generic[T]):
+class ByView(_BySubdomain[tuple[T, ...]], Generic[T]):
     """One thing for each view of each owned subdomain, in their order: pixels, residuals, cells that count...
 
     A view is what one camera sees of a subdomain. Like a field it is never changed.
@@ -140,40 +143,23 @@ class ByView(Sequence[tuple[T, ...]], Generic[T]):
     """
 
     def __init__(self, rows: Iterable[Iterable[T]]) -> None:
-        self.rows = tuple(tuple(row) for row in rows)
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    @overload
-    def __getitem__(self, place: int) -> tuple[T, ...]: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> tuple[tuple[T, ...], ...]: ...
-
-    def __getitem__(self, place: int | slice) -> tuple[T, ...] | tuple[tuple[T, ...], ...]:
-        return self.rows[place]
+        super().__init__(tuple(row) for row in rows)
 
     @property
     def flat(self) -> tuple[T, ...]:
         """The things of all views, subdomain by subdomain."""
-        return tuple(thing for row in self.rows for thing in row)
+        return tuple(thing for row in self for thing in row)
 
     def map(self, function: Callable[..., R], *others: Sequence[Sequence[Any]]) -> ByView[R]:
         """Give function(thing, ...) of every view, the rest being what others hold for it."""
         return ByView([function(*of_view) for of_view in zip(*of_subdomain, strict=True)]
-                      for of_subdomain in zip(self.rows, *others, strict=True))
+                      for of_subdomain in zip(self, *others, strict=True))
 
     def fill(self, of_subdomains: Sequence[R]) -> ByView[R]:
         """Give every view what its subdomain has: of a field, say, the subdomain's unknowns."""
-        return ByView([thing] * len(row) for row, thing in zip(self.rows, of_subdomains, strict=True))
+        return ByView([thing] * len(row) for row, thing in zip(self, of_subdomains, strict=True))
 
 
 def add_views(values: ByView[Array]) -> list[Array]:
     """Add up the views of each owned subdomain, in their order."""
     return [reduce(np.add, of_views) for of_views in values]
-
-
-def sum_views(team: Team, values: ByView[Array]) -> Array:
-    """Sum arrays of one shape over the views of all subdomains, in their order; collective."""
-    return team.ordered_sum(add_views(values))

@@ -193,9 +193,18 @@ def check_contact(contact: Contact) -> None:
     Raises InputError where an outline cuts far cells, or an edge touches the other side only in part, or twice.
     """
     _refuse_cut_cells(contact)
-    _refuse_far_edges_in_part(contact)
+    far = contact.far
+    partly = _covered_in_part(contact.far_cover)
+    if partly.any():
+        x, y = _first_midpoint(far.rest, far.edges[partly])
+        raise InputError(f"near.mesh: the edge of a far element around column {x:.0f}, row {y:.0f} touches a near mesh "
+                         "in part only; let the common boundary end at nodes of both meshes")
     for near in contact.near:
-        _refuse_near_edges_in_part(near)
+        partly = _covered_in_part(near.cover)
+        if partly.any():
+            x, y = _first_midpoint(near.mesh, near.edges[partly])
+            raise InputError(f"near, entry {near.number}: an edge of its mesh around column {x:.1f}, row {y:.1f} "
+                             "touches far elements in part only; let the common boundary end at nodes of both meshes")
 
 
 def _refuse_cut_cells(contact: Contact) -> None:
@@ -245,23 +254,6 @@ def _inner_facets_among(facets: Facets, edges: NDArray[np.int64]) -> NDArray[np.
     numbers = np.sort(nodes[inner], axis=1) @ factors
     wanted = np.sort(edges, axis=1) @ factors
     return np.asarray(inner[np.isin(numbers, wanted)], dtype=np.int64)
-
-
-def _refuse_far_edges_in_part(contact: Contact) -> None:
-    far = contact.far
-    partly = _covered_in_part(contact.far_cover)
-    if partly.any():
-        x, y = _first_midpoint(far.rest, far.edges[partly])
-        raise InputError(f"near.mesh: the edge of a far element around column {x:.0f}, row {y:.0f} touches a near mesh "
-                         "in part only; let the common boundary end at nodes of both meshes")
-
-
-def _refuse_near_edges_in_part(near: NearSide) -> None:
-    partly = _covered_in_part(near.cover)
-    if partly.any():
-        x, y = _first_midpoint(near.mesh, near.edges[partly])
-        raise InputError(f"near, entry {near.number}: an edge of its mesh around column {x:.1f}, row {y:.1f} touches "
-                         "far elements in part only; let the common boundary end at nodes of both meshes")
 
 
 def _covered_in_part(cover: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -297,13 +297,12 @@ def _stagnates(records: Sequence[IterationRecord]) -> bool:
 def _solve_as_far_as_it_pays(model: Model, step: LinearStep, q: Field, b: Field, tolerances: Tolerances,
                              last_rms: float | None) -> tuple[StepResult, CorrectionSize]:
     """Solve for dq to a share of dq that is known only afterwards: guess, then tighten."""
-    at_last = LAST_SHARE * tolerances.rms
     if not tolerances.inexact:
-        result = step.solve(q, b, None)
+        result = step.solve(q, b)
         return result, model.measure_correction(result.dq, q, tolerances)
-    if last_rms is None:
-        guess = AllowedError(at_last, SHARE)
-    else:
+    at_last = LAST_SHARE * tolerances.rms
+    guess = AllowedError(at_last, SHARE)
+    if last_rms is not None:
         guess = AllowedError(max(at_last, SHARE * GAIN * last_rms))
     result = step.solve(q, b, guess)
     size = model.measure_correction(result.dq, q, tolerances)

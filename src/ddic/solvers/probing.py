@@ -148,9 +148,9 @@ def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearSt
                                for s, share in zip(subdomains, shares, strict=True))
         y = step.solve(at_rest, b, _ENOUGH).dq / scale
         forces = _multiply_by_hessians(systems, y)
-        traces.append(team.ordered_sum([
-            np.array([y_s @ of_y, _project_signs(s, of_nodes, probe) @ of_y])
-            for s, of_nodes, y_s, of_y in zip(subdomains, chosen, y, forces, strict=True)]))
+        z = [_project_signs(s, of_nodes, probe) for s, of_nodes in zip(subdomains, chosen, strict=True)]
+        products = [np.array([y_s @ of_y, z_s @ of_y]) for y_s, z_s, of_y in zip(y, z, forces, strict=True)]
+        traces.append(team.ordered_sum(products))
     of_covariance, of_determined = np.mean(traces, axis=0)
     return NoiseResponse(float(np.sqrt(2.0 * of_covariance / n_components)), float(of_determined))
 

@@ -82,8 +82,10 @@ class WholeSystem:
         """Multiply y = A x: PETSc's callback, where this is the context of a shell matrix."""
         x_here = self.restrict(self.exchange.fetch_ghosts(x))
         gap = self._find_gap(x_here)
-        products = [system.hessian @ x_s + system.eta * rows.multiply_transposed(gap_s)
-                    for system, rows, x_s, gap_s in zip(self.systems, self.rows, x_here, gap, strict=True)]
+        products = []
+        for system, rows, x_s, gap_s in zip(self.systems, self.rows, x_here, gap, strict=True):
+            of_gap = system.eta * rows.multiply_transposed(gap_s)
+            products.append(system.hessian @ x_s + of_gap)
         self.exchange.add_to_owners(self.add_up(products), y)
 
     def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
@@ -98,9 +100,10 @@ class WholeSystem:
         ``q_mean`` is qbar, the one field that takes the place of copies that differ.
         """
         gap = self._find_gap(q_mean)
-        parts = [b_s + system.hessian @ (q_s - mean_s) - system.eta * rows.multiply_transposed(gap_s)
-                 for system, rows, b_s, q_s, mean_s, gap_s
-                 in zip(self.systems, self.rows, b, q, q_mean, gap, strict=True)]
+        parts = []
+        for system, rows, b_s, change_s, gap_s in zip(self.systems, self.rows, b, q - q_mean, gap, strict=True):
+            of_gap = system.eta * rows.multiply_transposed(gap_s)
+            parts.append(b_s + system.hessian @ change_s - of_gap)
         self.exchange.add_to_owners(self.add_up(parts), right)
 
     def find_correction(self, solution: PETSc.Vec, q: Field, q_mean: Field) -> Field:
