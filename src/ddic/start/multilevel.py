@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.case.schema import StartSection
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image, bin_window, join_blocks
@@ -27,7 +28,6 @@ from ddic.solvers.correction_size import Tolerances
 from ddic.start.binned_pair import (
     CELL,
     BinnedPair,
-    PixelPair,
     build_grid,
     choose_block_sizes,
     choose_finest_block,
@@ -132,22 +132,6 @@ NO_LINES = LinesOnLevels(Discontinuities(), np.inf)
 
 
 @dataclass(frozen=True)
-class Stages:
-    """Which stages of the start are taken.
-
-    Attributes
-    ----------
-    rigid, features, pyramid : bool
-        Whether a rigid translation is sought first, features are matched where that does not explain the
-        region, and the coarse-graining pyramid follows.
-    """
-
-    rigid: bool = True
-    features: bool = True
-    pyramid: bool = True
-
-
-@dataclass(frozen=True)
 class MultilevelStart:
     """A coarse field and what the user should know about how it was found.
 
@@ -169,9 +153,9 @@ class MultilevelStart:
     """
 
     field: CoarseField | KeptResult
-    rigid: tuple[RigidShift, ...]
-    levels: tuple[int, ...]
-    warnings: tuple[str, ...]
+    rigid: tuple[RigidShift, ...] = ()
+    levels: tuple[int, ...] = ()
+    warnings: tuple[str, ...] = ()
     n_matches: int = 0
     n_found: int = 0
     notes: tuple[str, ...] = ()
@@ -290,13 +274,8 @@ class Pyramid:
         return Correlated(starts[0], tuple(done), tuple(warnings))
 
 
-def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correction: GreyCorrection,
-                          lines: LinesOnLevels = NO_LINES) -> MultilevelStart:
-    """Find a coarse field on the region of the whole mesh: that of the finest level that worked.
-
-    The images are binned at most as far as ``choose_finest_block`` says.
-    """
-    pyramid = Pyramid(pair, mesh, correction, lines)
+def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
+    """Find a coarse field on the region: that of the finest level that worked, by the stages that are asked for."""
     sizes = pyramid.sizes if stages.pyramid else []
     at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), 1.0, ())
     rigid_start = pyramid.find_rigid() if stages.rigid else at_rest
@@ -316,7 +295,7 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correcti
                            n_found)
 
 
-def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Stages) -> MultilevelStart | None:
+def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:
     """The same in smaller blocks of what surrounds a small region; None where they are no smaller or show nothing."""
     pixels = pyramid.pair.pixels
     if pixels is None or not can_bin_finer(pixels, pyramid.mesh):
@@ -330,7 +309,7 @@ def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Stag
     lines = replace(pyramid.lines, discontinuities=pyramid.lines.discontinuities.scale(seen.origin, 1.0))
     mesh = move_mesh(pyramid.mesh, -seen.origin)
     try:
-        found = find_multilevel_start(seen.pair, mesh, stages, pyramid.correction, lines)
+        found = find_multilevel_start(Pyramid(seen.pair, mesh, pyramid.correction, lines), stages)
     except ConvergenceError:
         # What repeats itself in smaller blocks may not on the whole image.
         return None
@@ -378,13 +357,13 @@ class Surroundings:
                 f"blocks of {self.pair.factor} px")
 
 
-def can_bin_finer(pixels: PixelPair, mesh: Mesh) -> bool:
+def can_bin_finer(pixels: BinnedPair, mesh: Mesh) -> bool:
     """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on whole images."""
     size = _find_size(pixels)
     return find_finest_level(int(_find_extent(size, mesh).prod())) < find_finest_level(int(size.prod()))
 
 
-def bin_surroundings(pixels: PixelPair, mesh: Mesh, translation: Array) -> Surroundings:
+def bin_surroundings(pixels: BinnedPair, mesh: Mesh, translation: Array) -> Surroundings:
     """Bin what surrounds a region, in blocks as small as those of an image of that size.
 
     ``translation``, (2,), pixels, is about that of the region.
@@ -401,7 +380,7 @@ def bin_surroundings(pixels: PixelPair, mesh: Mesh, translation: Array) -> Surro
     return Surroundings(BinnedPair(parts[0], parts[1], factor), origin.astype(float), (moved - origin).astype(float))
 
 
-def _find_size(pixels: PixelPair) -> NDArray[np.int64]:
+def _find_size(pixels: BinnedPair) -> NDArray[np.int64]:
     """Width and height of both images, pixels."""
     return np.array([pixels.reference.image.width, pixels.reference.image.height])
 
