@@ -37,20 +37,8 @@ LookedUp = tuple[Array, NDArray[np.bool_]]
 """Displacement of a subdomain's nodes, (n_nodes, 2), pixels, and which of them are known, (n_nodes,)."""
 
 
-@dataclass(frozen=True, eq=False)
-class SeenRegion:
-    """What a camera sees of the region.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The cells that it measures, its pixels.
-    lines : LinesOnLevels
-        Discontinuities of the displacement, its pixels.
-    """
-
-    mesh: Mesh
-    lines: LinesOnLevels
+SeenRegion = tuple[Mesh, LinesOnLevels]
+"""The cells that a camera measures, and discontinuities of their displacement, its pixels."""
 
 
 @dataclass(frozen=True)
@@ -109,15 +97,15 @@ class CoarseSearch:
         if self.regions is None:
             return None
         found = []
-        for number, (region, camera) in enumerate(zip(self.regions, self.cameras, strict=True)):
+        for number, ((mesh, lines), camera) in enumerate(zip(self.regions, self.cameras, strict=True)):
             pyramid = None
             if pairs is not None:
-                pyramid = Pyramid(require_held(pairs[number]), region.mesh, self.correction, region.lines)
+                pyramid = Pyramid(require_held(pairs[number]), mesh, self.correction, lines)
             if self.given is None:
                 found.append(MultilevelStart(build_uniform_field((0.0, 0.0))) if pyramid is None
                              else find_multilevel_start(pyramid, self.section))
                 continue
-            placed = place_start(self.given, region.mesh, region.lines.discontinuities, camera)
+            placed = place_start(self.given, mesh, lines.discontinuities, camera)
             start = (MultilevelStart(placed.field) if pyramid is None
                      else find_start_from_given(placed.field, pyramid, self.section))
             found.append(self._describe(self.given, placed, start))
@@ -151,7 +139,7 @@ def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
     discontinuities = list_discontinuities(case)
     if camera.number > 0:
         discontinuities = see_discontinuities(discontinuities, cells.mesh, camera.setup.mapping)
-    return SeenRegion(cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block))
+    return cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block)
 
 
 def describe_starts(cameras: Sequence[Camera], found: Sequence[MultilevelStart]) -> tuple[str, ...]:

@@ -162,25 +162,6 @@ class MultilevelStart:
 
 
 @dataclass(frozen=True, eq=False)
-class Correlated:
-    """What levels of the pyramid found.
-
-    Attributes
-    ----------
-    field : GridField, CutField or MatchedField
-        That of the finest level that worked, or the first start, pixels.
-    levels : tuple of int
-        Block sizes of the levels that worked, pixels, coarsest first.
-    warnings : tuple of str
-        What did not work.
-    """
-
-    field: CoarseField
-    levels: tuple[int, ...]
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Pyramid:
     """An image pair in blocks of several sizes, and what is measured on it.
 
@@ -254,8 +235,11 @@ class Pyramid:
         return MatchedField(matches, region, pieces) if matches.agree else None
 
     def correlate(self, sizes: Sequence[int], starts: Sequence[CoarseField], beside: Sequence[CoarseField],
-                  ) -> Correlated:
+                  ) -> tuple[CoarseField, tuple[int, ...], tuple[str, ...]]:
         """Correlate levels of some block sizes, coarsest first, each from what the one before found.
+
+        Gives the field of the finest level that worked, or the first start, the block sizes of the levels that worked,
+        and what did not work.
 
         The best of ``starts``, at least one, starts the first level. ``beside`` is what a level may start from beside
         what the one before found: a coarse level of a ragged region may have gone astray, and the residual of the next
@@ -271,7 +255,7 @@ class Pyramid:
             else:
                 starts = (field, *beside)
                 done.append(size)
-        return Correlated(starts[0], tuple(done), tuple(warnings))
+        return starts[0], tuple(done), tuple(warnings)
 
 
 def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
@@ -289,10 +273,9 @@ def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelS
     if matched is not None:
         # From there the finest level finds everything, and coarser ones would smooth it.
         starts, sizes, warnings = (matched, *starts), sizes[-1:], ()
-    found = pyramid.correlate(sizes, starts, rigid_start.fields)
+    field, levels, left_out = pyramid.correlate(sizes, starts, rigid_start.fields)
     n_matches, n_found = (0, 0) if matched is None else (len(matched.matches.points), matched.matches.n_found)
-    return MultilevelStart(found.field, rigid_start.translations, found.levels, (*warnings, *found.warnings), n_matches,
-                           n_found)
+    return MultilevelStart(field, rigid_start.translations, levels, (*warnings, *left_out), n_matches, n_found)
 
 
 def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:
