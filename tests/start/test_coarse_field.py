@@ -11,6 +11,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
+from ddic.case.schema import StartSection
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
@@ -20,7 +21,7 @@ from ddic.parallel.team import Team
 from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, prepare_reference
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_field import CoarseSearch, fit_found_fields, prepare_search
-from ddic.start.multilevel import Stages, find_multilevel_start
+from ddic.start.multilevel import Pyramid, find_multilevel_start
 from support.cases import WAVES, write_case, write_images
 from support.pictures import rms_error, source, square_mesh
 
@@ -95,6 +96,7 @@ def test_subdomains_start_from_the_coarse_field_of_the_whole(shared_path: Path) 
 def test_zero_is_what_switching_everything_off_comes_to() -> None:
     image = source(np.zeros((192, 192), np.float32))
     mesh = square_mesh(24, 168)
-    start = find_multilevel_start(BinnedPair(image, image, 1), mesh, Stages(rigid=False, pyramid=False), "none")
+    start = find_multilevel_start(Pyramid(BinnedPair(image, image, 1), mesh, "none"),
+                                  StartSection(rigid=False, pyramid=False))
     np.testing.assert_array_equal(start.field.at(mesh.nodes), np.zeros_like(mesh.nodes))
     assert (start.rigid, start.levels, start.warnings) == ((), (), ())

@@ -145,7 +145,7 @@ class Session:
             begin_search = search.prepare(first_frame)
         reference, found = prepare_reference(team, inputs, region_mesh, clock, begin_search)
         self._found_first = search.share(found)
-        self._tell(reference.notes)
+        _tell(self._listener, reference.notes)
         self.problem = WeightedProblem(team, reference, clock, factorize_now=first_frame is None)
         self._start = FrameStart(search, self.problem, clock)
 
@@ -173,18 +173,14 @@ class Session:
         views = problem.open_frame(frame)
         q, of_start = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
-        self._tell(of_start)
+        _tell(self._listener, of_start)
         notes = (*problem.reference.notes, *of_start)
         with last_field_kept(self._clock, lambda *last: finish_measurement(problem, frame, notes, *last)):
             solved = solve_frame(problem, model, q, self._listener, self._clock, least_shown)
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
-        self._tell(measurement.notes[len(notes) + len(solved.notes):])
+        _tell(self._listener, measurement.notes[len(notes) + len(solved.notes):])
         return measurement
-
-    def _tell(self, notes: tuple[str, ...]) -> None:
-        for line in notes:
-            self._listener.note(line)
 
     def close(self) -> None:
         """Free PETSc's objects."""

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.plane import build_rotation
 from ddic.mesh.quality import measure_areas
 from ddic.parallel.field import Field
@@ -82,9 +83,7 @@ def fit_rigid_motion(q: Field) -> RigidMotion:
 def _sum_moments(subdomain: Subdomain, q: Array) -> Array:
     """Of the nodes: their areas, and the sums of X, of x and of x X^T, (9,)."""
     mesh, nodes = subdomain.mesh, subdomain.mesh.nodes
-    n_corners = np.diff(mesh.offsets)
-    of_corners = np.repeat(measure_areas(mesh) / n_corners, n_corners)
-    weights = np.bincount(mesh.connectivity, weights=of_corners, minlength=mesh.n_nodes)
+    weights = sum_about_nodes(mesh, measure_areas(mesh) / np.diff(mesh.offsets))
     moved = nodes + subdomain.kinematics.displacement(q[:subdomain.n_field]).reshape(nodes.shape)
     return np.concatenate([[weights.sum()], weights @ nodes, weights @ moved,
                            ((moved * weights[:, None]).T @ nodes).ravel()])

@@ -18,6 +18,7 @@ from ddic.errors import list_first
 from ddic.functionals.correlation import LARGE, measure_deformation
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur
+from ddic.mesh.mesh import sum_about_nodes
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -322,11 +323,8 @@ def sum_pixels(subdomain: Subdomain, counts: Sequence[NDArray[np.int64]]) -> NDA
 
     They are weighted by how far the unknown displaces each node.
     """
-    mesh = subdomain.mesh
-    n_pixels = np.sum(counts, axis=0)
-    of_corners = np.repeat(n_pixels, np.diff(mesh.offsets))
-    of_nodes = np.bincount(mesh.connectivity, weights=of_corners, minlength=mesh.n_nodes)
-    return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, mesh.dim))
+    of_nodes = sum_about_nodes(subdomain.mesh, np.sum(counts, axis=0))
+    return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, subdomain.mesh.dim))
 
 
 def find_displaced_nodes(subdomain: Subdomain, unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:

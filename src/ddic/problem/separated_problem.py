@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddic.case.schema import RegularizationSection
-from ddic.errors import InputError
+from ddic.errors import InputError, as_collective
 from ddic.functionals.regularization import find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
@@ -88,20 +88,17 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
     return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, scheme, rules)
 
 
-def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int, list[range]]:
-    """Choose the bands of rows that a rank reads, and the first one's number; all ranks have about as many."""
-    bands = divide_rows(rectangle.along_y)
-    edges = np.linspace(0, len(bands), n_ranks + 1).round().astype(int)
-    return int(edges[rank]), bands[edges[rank]:edges[rank + 1]]
-
-
 def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferencePixels:
     """Read the rows of the reference image that this rank owns; collective.
 
     Raises InputError on all ranks, where an image cannot be read or no pixel counts.
     """
     source, degree = inputs.cameras[0].reference, inputs.case.correlation.spline_degree
-    first, own = choose_own_bands(rectangle, team.rank, team.size)
+    all_bands = divide_rows(rectangle.along_y)
+    # All ranks have about as many.
+    edges = np.linspace(0, len(all_bands), team.size + 1).round().astype(int)
+    first, end = edges[team.rank:team.rank + 2].tolist()
+    own = all_bands[first:end]
 
     def read() -> ReferencePixels:
         columns = rectangle.along_x.pixels
@@ -113,12 +110,9 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
 
     reference = team.together(read)
     if not team.sum(count_usable(reference.bands)):
-        team.together(_refuse_nothing_to_see)
+        raise as_collective(InputError(
+            "images.reference_mask: it leaves out every pixel of mesh.structured.region; check both"))
     return reference
-
-
-def _refuse_nothing_to_see() -> None:
-    raise InputError("images.reference_mask: it leaves out every pixel of mesh.structured.region; check both")
 
 
 def build_regularization(section: RegularizationSection | None, reference: ReferencePixels,

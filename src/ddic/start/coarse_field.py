@@ -25,10 +25,10 @@ from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.reference_problem import ReferenceProblem
-from ddic.start.binned_pair import BinnedPair, PixelPair, choose_finest_block
+from ddic.start.binned_pair import BinnedPair, choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
-from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Pyramid, Stages, find_multilevel_start
+from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Pyramid, find_multilevel_start
 from ddic.start.start_from_given import find_start_from_given
 
 Array = NDArray[np.float64]
@@ -37,20 +37,8 @@ LookedUp = tuple[Array, NDArray[np.bool_]]
 """Displacement of a subdomain's nodes, (n_nodes, 2), pixels, and which of them are known, (n_nodes,)."""
 
 
-@dataclass(frozen=True, eq=False)
-class SeenRegion:
-    """What a camera sees of the region.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The cells that it measures, its pixels.
-    lines : LinesOnLevels
-        Discontinuities of the displacement, its pixels.
-    """
-
-    mesh: Mesh
-    lines: LinesOnLevels
+SeenRegion = tuple[Mesh, LinesOnLevels]
+"""The cells that a camera measures, and discontinuities of their displacement, its pixels."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +81,7 @@ class CoarseSearch:
         if frame is None:
             return lambda: None
         if not (self.section.rigid or self.section.pyramid):
-            return self._take_as_it_is
+            return partial(self._search, None)
         pairs = [_bin_together(self.team, camera.reference, deformed)
                  for camera, deformed in zip(self.cameras, frame, strict=True)]
         return partial(self._search, pairs)
@@ -104,34 +92,24 @@ class CoarseSearch:
         shared: list[MultilevelStart] | None = self.team.broadcast(found, root=self.team.size - 1)
         return shared
 
-    def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
+    def _search(self, pairs: Sequence[BinnedPair | None] | None) -> list[MultilevelStart] | None:
+        """The start of each camera's field; without pairs what is given, or rest, without a look at the images."""
         if self.regions is None:
             return None
-        stages = Stages(self.section.rigid, self.section.features, self.section.pyramid)
         found = []
-        for pair, region, camera in zip(pairs, self.regions, self.cameras, strict=True):
-            images = require_held(pair)
+        for number, ((mesh, lines), camera) in enumerate(zip(self.regions, self.cameras, strict=True)):
+            pyramid = None
+            if pairs is not None:
+                pyramid = Pyramid(require_held(pairs[number]), mesh, self.correction, lines)
             if self.given is None:
-                found.append(find_multilevel_start(images, region.mesh, stages, self.correction, region.lines))
+                found.append(MultilevelStart(build_uniform_field((0.0, 0.0))) if pyramid is None
+                             else find_multilevel_start(pyramid, self.section))
                 continue
-            placed = self._place(self.given, region, camera)
-            pyramid = Pyramid(images, region.mesh, self.correction, region.lines)
-            found.append(self._describe(self.given, placed, find_start_from_given(placed.field, pyramid, stages)))
+            placed = place_start(self.given, mesh, lines.discontinuities, camera)
+            start = (MultilevelStart(placed.field) if pyramid is None
+                     else find_start_from_given(placed.field, pyramid, self.section))
+            found.append(self._describe(self.given, placed, start))
         return found
-
-    def _take_as_it_is(self) -> list[MultilevelStart] | None:
-        """What is given, or rest, without a look at the images."""
-        if self.regions is None:
-            return None
-        if self.given is None:
-            return [MultilevelStart(build_uniform_field((0.0, 0.0)), (), (), ())] * len(self.cameras)
-        placed = [self._place(self.given, region, camera)
-                  for region, camera in zip(self.regions, self.cameras, strict=True)]
-        return [self._describe(self.given, one, MultilevelStart(one.field, (), (), ())) for one in placed]
-
-    @staticmethod
-    def _place(given: GivenStart, region: SeenRegion, camera: Camera) -> PlacedStart:
-        return place_start(given, region.mesh, region.lines.discontinuities, camera)
 
     @staticmethod
     def _describe(given: GivenStart, placed: PlacedStart, start: MultilevelStart) -> MultilevelStart:
@@ -161,7 +139,7 @@ def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
     discontinuities = list_discontinuities(case)
     if camera.number > 0:
         discontinuities = see_discontinuities(discontinuities, cells.mesh, camera.setup.mapping)
-    return SeenRegion(cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block))
+    return cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block)
 
 
 def describe_starts(cameras: Sequence[Camera], found: Sequence[MultilevelStart]) -> tuple[str, ...]:
@@ -199,7 +177,7 @@ def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -
     if bands is None:
         return None
     binned = [join_blocks(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
-    return BinnedPair(binned[0], binned[1], factor, PixelPair(reference, deformed))
+    return BinnedPair(binned[0], binned[1], factor, BinnedPair(reference, deformed, 1))
 
 
 def fit_found_fields(search: CoarseSearch, reference: ReferenceProblem,

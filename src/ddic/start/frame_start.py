@@ -228,14 +228,11 @@ def estimate_noise(cameras: Sequence[Camera], q: Field, views: ByView[FrameView]
         deviations, lowest, highest = zip(*of_camera, strict=True)
         # The residual has the noise of two images.
         estimated = float(np.median(deviations)) / np.sqrt(2)
-        smallest = max(SMALLEST_SHARE * (max(highest) - min(lowest)), _rounding(camera))
+        # Floats need not be rounded.
+        rounding = 0.0 if camera.reference.image.saturation is None else ROUNDING
+        smallest = max(SMALLEST_SHARE * (max(highest) - min(lowest)), rounding)
         noise.append(max(estimated, smallest) if camera.noise is None else camera.noise)
     return noise
-
-
-def _rounding(camera: Camera) -> float:
-    """Standard deviation of the rounding of a camera's grey levels; floats need not be rounded."""
-    return 0.0 if camera.reference.image.saturation is None else ROUNDING
 
 
 def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ddic.case.schema import StartSection
 from ddic.images.rigid import GridField, RigidShift, find_rigid_shift
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.mesh import Mesh
@@ -19,7 +20,7 @@ from ddic.mesh.quality import measure_areas
 from ddic.start.binned_pair import BinnedPair, scale_mesh
 from ddic.start.coarse_displacement import CoarseField, CutField
 from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
-from ddic.start.multilevel import SURE, Correlated, MultilevelStart, Pyramid, Stages
+from ddic.start.multilevel import SURE, MultilevelStart, Pyramid
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import FEWEST_BLOCKS, FEWEST_OF_PIECE, LEAST_COEFFICIENT, RigidStart
 
@@ -62,7 +63,7 @@ class _Candidate:
     note: str
 
 
-def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelStart:
+def find_start_from_given(given: CutField, pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
     """Find a coarse field from a displacement that is given on the mesh of the region.
 
     Where the images bear it out, nothing is searched; where it is in reach of the finest level, that one follows. Else
@@ -73,25 +74,26 @@ def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> 
     predicted = _predict(pyramid, pyramid.finest_size, given)
     share = predicted.measure_share_beyond(RIGHT_PX)
     if share <= WRONG_SHARE:
-        return MultilevelStart(given, (), (), ())
+        return MultilevelStart(given)
     begun = (f"start: that is off by more than {RIGHT_PX:g} px on {share:.0%} of the region (correlation coefficient "
              f"{predicted.coefficient:.2f}); searching on")
     is_in_reach = predicted.measure_share_beyond(np.inf) <= WRONG_SHARE
     # Then nothing else is looked at: on a repetitive texture another translation would look as good.
-    found = pyramid.correlate(pyramid.sizes[-1:] if stages.pyramid and is_in_reach else [], [given], [given])
-    start = MultilevelStart(found.field, (), found.levels, (), notes=(NOTE_IN_REACH,))
-    if not found.levels:
+    sizes = pyramid.sizes[-1:] if stages.pyramid and is_in_reach else []
+    found, levels, _ = pyramid.correlate(sizes, [given], [given])
+    start = MultilevelStart(found, levels=levels, notes=(NOTE_IN_REACH,))
+    if not levels:
         start, found = _search_on(given, pyramid, stages)
-    field = _take_at_nodes(found.field, given.mesh)
+    field = _take_at_nodes(found, given.mesh)
     left = 1 - _predict(pyramid, pyramid.finest_size, field).coefficient
     if left > BETTER * (1 - predicted.coefficient):
         kept = "start: nothing was found that explains the images better; the given displacement is kept"
-        return MultilevelStart(given, (), (), start.warnings, notes=(begun, kept))
+        return MultilevelStart(given, warnings=start.warnings, notes=(begun, kept))
     return replace(start, notes=(begun, *start.notes))
 
 
-def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[MultilevelStart, Correlated]:
-    """The best that is found from a given displacement, that moved on, and rest."""
+def _search_on(given: CutField, pyramid: Pyramid, stages: StartSection) -> tuple[MultilevelStart, CoarseField]:
+    """The best that is found from a given displacement, that moved on, and rest; and its field."""
     rigid = pyramid.find_rigid() if stages.rigid else None
     moved = move_on(given, pyramid.pairs[pyramid.rigid_size]) if stages.rigid else []
     candidates = _list_candidates(given, moved, rigid)
@@ -103,15 +105,15 @@ def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[Multi
     if looks and _predict(pyramid, pyramid.rigid_size, best.field).coefficient < SURE:
         matched = pyramid.matched
     if matched is not None:
-        found = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
-        return MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),
-                               matched.matches.n_found, (NOTE_OF_FEATURES,)), found
+        field, levels, warnings = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
+        return MultilevelStart(field, (), levels, warnings, len(matched.matches.points), matched.matches.n_found,
+                               (NOTE_OF_FEATURES,)), field
     starts = [best.field] if is_in_reach else [best.field, *beside]
-    found = pyramid.correlate(sizes, starts, beside)
+    field, levels, warnings = pyramid.correlate(sizes, starts, beside)
     is_from_nothing = rigid is not None and any(best.field is field for field in rigid.fields)
     translations = rigid.translations if rigid is not None and is_from_nothing else ()
     note = best.note if is_in_reach else NOTE_OUT_OF_REACH
-    return MultilevelStart(found.field, translations, found.levels, found.warnings, notes=(note,)), found
+    return MultilevelStart(field, translations, levels, warnings, notes=(note,)), field
 
 
 def _take_at_nodes(field: CoarseField, mesh: Mesh) -> GridField | CutField:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyCorrection, find_weighted_median
 from ddic.functionals.view import FrameView
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
+from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.raster import list_pixels
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import ByView, add_views
@@ -71,12 +72,11 @@ def _sum_offsets(view: FrameView, cells: SeenCells, typical: TypicalCell, n_came
     """Pixels of the cells about each node, and the sum of their offsets, (n_nodes, 2 n_cameras), by camera."""
     mesh = view.correlation.mesh
     sums = np.zeros((mesh.n_nodes, 2 * n_cameras))
-    n_corners = np.diff(mesh.offsets)
     expected = typical.contrast / max(typical.contrast + typical.noise, 1e-300)
     n_pixels = np.where(cells.coefficient >= SEEN * expected, cells.n_pixels, 0.0)
     offsets = cells.mean_f - typical.gain * cells.mean_g - typical.offset
-    for column, of_cells in ((2 * view.camera, n_pixels), (2 * view.camera + 1, n_pixels * offsets)):
-        sums[:, column] = np.bincount(mesh.connectivity, np.repeat(of_cells, n_corners), minlength=mesh.n_nodes)
+    sums[:, 2 * view.camera] = sum_about_nodes(mesh, n_pixels)
+    sums[:, 2 * view.camera + 1] = sum_about_nodes(mesh, n_pixels * offsets)
     return sums
 
 

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import find_weighted_median
 from ddic.functionals.view import View
-from ddic.mesh.mesh import Mesh, pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.renewal import find_displaced_nodes, find_free_unknowns, find_held
@@ -93,7 +93,8 @@ def measure_cell_residuals(view: View, hessian: sparse.csr_matrix, residual: Res
 def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
     """Mean of |grad f|^2 about each cell: M holds it by node, since the shape functions of a cell sum to 1."""
     mesh = view.correlation.mesh
-    pixels = _share_among_nodes(mesh, view.count_pixels().astype(float))
+    # Spread evenly over the nodes of each cell.
+    pixels = sum_about_nodes(mesh, view.count_pixels() / np.diff(mesh.offsets))
     energy = np.zeros(mesh.n_nodes)
     for axis in range(2):
         translation = np.zeros(mesh.nodes.shape)
@@ -102,13 +103,6 @@ def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
     corners = pad_cells(mesh)
     of_cells, n_pixels = energy[corners].sum(axis=1), pixels[corners].sum(axis=1)
     return np.divide(of_cells, n_pixels, out=np.zeros(mesh.n_cells), where=n_pixels > 0)
-
-
-def _share_among_nodes(mesh: Mesh, of_cells: Array) -> Array:
-    """Sum over cells of their number, spread evenly over their nodes, (n_nodes,)."""
-    n_corners = np.diff(mesh.offsets)
-    shares = np.repeat(of_cells / n_corners, n_corners)
-    return np.asarray(np.bincount(mesh.connectivity, weights=shares, minlength=mesh.n_nodes), dtype=np.float64)
 
 
 def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[CellErrors]:

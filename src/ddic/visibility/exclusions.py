@@ -234,13 +234,13 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
     states[stands_out & (states == KEPT)] = SPOILT
     states[beside] = np.where(stands_out[beside], HELD_OFF, KEPT)
     spots = [np.zeros((0, 2), dtype=np.int64)]
-    for part in _search_cells(seen, rules, np.setdiff1d(suspicious, beside)):
-        if part.share <= MOST_SPOILT:
-            states[part.cell] = KEPT
-            spots.append(part.pixels)
+    for cell, pixels, share in _search_cells(seen, rules, np.setdiff1d(suspicious, beside)):
+        if share <= MOST_SPOILT:
+            states[cell] = KEPT
+            spots.append(pixels)
         else:
             # A cell that does not stand out is as good as the field can follow it.
-            states[part.cell] = SPOILT if stands_out[part.cell] else KEPT
+            states[cell] = SPOILT if stands_out[cell] else KEPT
     return states, np.concatenate(spots), _hold(seen, found)
 
 
@@ -285,17 +285,12 @@ def _judge_by_pixels(seen: SeenView, rules: Rules) -> NDArray[np.uint8]:
     return states
 
 
-@dataclass(frozen=True, eq=False)
-class _SpoiltPart:
-    """Spoilt pixels of a cell, (n, 2) columns and rows, and their share of those that are judged."""
+def _search_cells(seen: SeenView, rules: Rules,
+                  searched: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64], float]]:
+    """Cells that have spoilt pixels, or that a line may cross elsewhere than it is thought to.
 
-    cell: int
-    pixels: NDArray[np.int64]
-    share: float
-
-
-def _search_cells(seen: SeenView, rules: Rules, searched: NDArray[np.int64]) -> Iterator[_SpoiltPart]:
-    """Spoilt pixels of those cells that have some, or that a line may cross elsewhere than it is thought to."""
+    Beside them these pixels' columns and rows, (n, 2), and their share of the cell's pixels that are judged.
+    """
     # The correction of all cells, where each has none of its own.
     correction = seen.typical.gain, seen.typical.offset
     for cell, box, patch in cut_patches(seen.view, seen.q, searched, correction):
@@ -308,7 +303,7 @@ def _search_cells(seen: SeenView, rules: Rules, searched: NDArray[np.int64]) -> 
                                         own_brightness=rules.own_brightness)
         if spoilt.any() or of_lines.any():
             rows, columns = np.nonzero(spoilt)
-            yield _SpoiltPart(cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / max(n_judged, 1))
+            yield cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / max(n_judged, 1)
 
 
 def _find_uncertain_pixels(seen: SeenView, rules: Rules, box: Window) -> NDArray[np.bool_]:

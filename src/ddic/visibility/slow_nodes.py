@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyState
 from ddic.functionals.view import FrameView
 from ddic.images.noise import NOISE_OF_SLOPE
-from ddic.mesh.mesh import Mesh, pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import Field, add_views
 from ddic.parallel.team import Team
@@ -173,7 +173,5 @@ def _sum_squared_shapes(mesh: Mesh, views: Sequence[FrameView]) -> Array:
 
     Its mean over a quadrangle is 1/9, over a triangle 1/6.
     """
-    n_corners = np.diff(mesh.offsets)
     of_cells = np.sum([view.weight * view.correlation.raster.pixel_counts for view in views], axis=0)
-    of_corners = np.repeat(of_cells / np.where(n_corners == 3, 6.0, 9.0), n_corners)
-    return np.asarray(np.bincount(mesh.connectivity, of_corners, mesh.n_nodes), dtype=np.float64)[:, None]
+    return sum_about_nodes(mesh, of_cells / np.where(np.diff(mesh.offsets) == 3, 6.0, 9.0))[:, None]
