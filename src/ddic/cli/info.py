@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ddic.cli.app import add_frame_option
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.app import frame_option
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,13 +29,13 @@ MOST_MODES = 10
 
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
-@add_frame_option
+@frame_option
 def info(file: Path, frame: int | None) -> None:
     """Describe a result file, or an image: size, type, range, saturation, gradient energy.
 
     Of a series: its frames, in a table, and what all have in common; one of them with --frame.
     """
-    with errors_as_lines(), warnings_as_lines():
+    with failures_as_lines(), warnings_as_lines():
         lines = _describe(file, frame)
     for line in lines:
         click.echo(line)

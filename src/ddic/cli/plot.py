@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from ddic.cli.app import add_frame_option
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.app import frame_option
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
 from ddic.cli.plot_series import CURVES, FrameChoice, Look, SharedScale, draw_pages, find_shared_scale, plot_curves
 from ddic.errors import InputError
 
@@ -106,7 +106,7 @@ class _Drawing:
 @click.option("--kind", type=click.Choice([*KINDS, CURVES, "all"]), default="all", show_default=True,
               help="Figure to draw; all draws what the file allows, but not displacement and signed-residual; of a "
                    "series without --frame and --animate it draws curves over time.")
-@add_frame_option
+@frame_option
 @click.option("--animate", is_flag=True, help="All frames of a series, one after the other, with the same colours.")
 @click.option("--fps", type=click.FloatRange(0.1, 100.0), default=5.0, show_default=True,
               help="Frames a second of an animation.")
@@ -153,7 +153,7 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     from ddic.plots.maps import StrainChoice
 
     folder = file.parent if output is None else output
-    with errors_as_lines(folder):
+    with failures_as_lines(folder):
         _check_limits(kind, limits)
         if (kind == "line") != (line is not None):
             raise InputError("--line X1 Y1 X2 Y2 goes with --kind line: give both, or neither")

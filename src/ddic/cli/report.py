@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from ddic.cli.app import add_frame_option
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.app import frame_option
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
 
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
 @click.option("--image", type=click.Path(path_type=Path), default=None,
               help="Reference image; by default the one named in the result, if it is still there.")
-@add_frame_option
+@frame_option
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Page to write; by default RESULT.report.html beside it.")
 def report(file: Path, image: Path | None, frame: int | None, output: Path | None) -> None:
@@ -28,7 +28,7 @@ def report(file: Path, image: Path | None, frame: int | None, output: Path | Non
     from ddic.report.page import write_report
 
     target = file.parent / f"{file.stem}.report.html" if output is None else output
-    with errors_as_lines(target), warnings_as_lines():
+    with failures_as_lines(target), warnings_as_lines():
         require_own_output(target, PAGE, (file, image))
         result, _ = read_frame_or_last(file, frame)
         write_report(result, target, image)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_start import take_closed_pipes_as_errors
-from ddic.cli.failures import abort_quietly, show_failure
+from ddic.cli.failures import abort_quietly, show_failure, take_closed_pipes_as_errors
 from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:

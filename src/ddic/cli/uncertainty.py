@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_start import take_closed_pipes_as_errors
-from ddic.cli.failures import errors_as_lines
+from ddic.cli.failures import failures_as_lines, take_closed_pipes_as_errors
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
 
     folder = case_file.parent if output is None else output
     table, figure = (folder / f"{case_file.stem}.uncertainty.{ending}" for ending in ("csv", "png"))
-    with errors_as_lines(folder):
+    with failures_as_lines(folder):
         loaded = load_case(case_file)
         for path, kind in ((table, UNCERTAINTY), (figure, PICTURE)):
             require_own_output(path, kind, list_inputs(loaded))
