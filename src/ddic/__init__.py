@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from ddic.version import __version__
 
 if TYPE_CHECKING:
+    from ddic.api.given import Image
     from ddic.api.measure import Session, measure, prepare
-    from ddic.api.options import Image, Options
+    from ddic.api.options import Options
     from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty
     from ddic.api.synthetic import make_synthetic_pair
     from ddic.case.loader import load_case
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "choose_regularization": "api.studies",
-    "Image": "api.options",
+    "Image": "api.given",
     "Options": "api.options",
     "Session": "api.measure",
     "measure": "api.measure",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,7 +15,7 @@ import click
 
 from ddic.cli.app import frame_option
 from ddic.cli.failures import failures_as_lines, warnings_as_lines
-from ddic.cli.plot_series import CURVES, FrameChoice, Look, SharedScale, draw_pages, find_shared_scale, plot_curves
+from ddic.cli.plot_series import CURVES, Look, SharedScale, draw_pages, find_shared_scale, plot_curves, require_drawable
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
     from ddic.plots.canvas import LengthUnit
-    from ddic.plots.maps import Preview, StrainChoice
-    from ddic.separated.field import SeparatedField
+    from ddic.plots.maps import Preview
 
 
 FORMATS = ("png", "pdf", "svg")
@@ -86,18 +86,14 @@ MEASURES = ("infinitesimal", "green-lagrange", "hencky")
 
 @dataclass(frozen=True)
 class _Drawing:
-    """What is drawn: a result, what belongs to it, and in which component, unit and colours."""
+    """What is drawn: a result, how, what belongs to it, and the files that it all comes from."""
 
     result: Result
+    look: Look
     other: Result | None
     preview: Preview | None
-    component: Literal["x", "y", "magnitude"]
-    strain: StrainChoice
-    unit: LengthUnit
-    limits: tuple[float, float] | None
-    amplification: float | None
     line: tuple[float, float, float, float] | None
-    files: tuple[Path | None, ...] = ()
+    files: tuple[Path | None, ...]
     scale: SharedScale | None = None
 
 
@@ -159,7 +155,7 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
             raise InputError("--line X1 Y1 X2 Y2 goes with --kind line: give both, or neither")
         pages = PageFiles(folder, file.stem, choose_ending(ending, animate=animate), dpi)
         is_series = is_series_file(file)
-        FrameChoice(frame, animate, kind).require_drawable(file, is_series=is_series)
+        require_drawable(file, kind, frame, animate=animate, is_series=is_series)
         if is_series and frame is None and not animate:
             plot_curves(read_series(file), units, pages)
             return
@@ -169,8 +165,9 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
             second = None if other is None else _read_other(other, frame)
         kinds = _kinds(kind, result, second)
         preview = _reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
-        drawing = _Drawing(result, second, preview, component, StrainChoice(measure, number, by_cell),
-                           find_length_unit(result, units), limits, amplification, line, (file, other, image))
+        look = Look(component, StrainChoice(measure, number, by_cell), amplification, find_length_unit(result, units),
+                    limits)
+        drawing = _Drawing(result, look, second, preview, line, (file, other, image))
         with made_folder(folder):
             if series is not None:
                 _animate(series, kind, drawing, pages, fps)
@@ -209,7 +206,10 @@ def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tu
     with replaced_together() as files:
         for name, target in zip(kinds, targets, strict=True):
             figure = _figure(name, drawing)
-            draw_failures(figure, _list_shown(name, drawing))
+            shown = [drawing.result]
+            if name in OF_BOTH and drawing.other is not None:
+                shown.append(drawing.other)
+            draw_failures(figure, shown)
             if line:
                 draw_caption(figure, line)
             save_figure(figure, target, pages.dpi, files)
@@ -224,8 +224,7 @@ def _animate(series: SeriesResult, kind: str, drawing: _Drawing, pages: PageFile
 
     target = pages.to_path(kind)
     require_own_output(target, PICTURE, drawing.files)
-    look = Look(drawing.component, drawing.strain, drawing.amplification, drawing.unit, drawing.limits)
-    shared = replace(drawing, scale=find_shared_scale(series, kind, look))
+    shared = replace(drawing, scale=find_shared_scale(series, kind, drawing.look))
 
     def draw(result: Result) -> Figure:
         return _figure(kind, replace(shared, result=result))
@@ -305,41 +304,28 @@ def _figure(kind: str, drawing: _Drawing) -> Figure:
     from ddic.plots.partition import draw_partition
     from ddic.plots.residual import draw_residual
 
-    result, preview, component = drawing.result, drawing.preview, drawing.component
-    unit, scale = drawing.unit, drawing.scale
-    limits, of_panels, view = drawing.limits, None, None
+    result, preview, look, scale = drawing.result, drawing.preview, drawing.look, drawing.scale
+    component, unit = look.component, look.unit
+    limits, of_panels, view = look.limits, None, None
     if scale is not None:
         limits, of_panels, view = scale.limits[0], scale.limits, scale.view
     by_kind: dict[str, Callable[[], Figure]] = {
         "partition": lambda: draw_partition(result, preview, unit),
-        "deformed": lambda: draw_deformed(result, component, drawing.amplification, unit, limits, view),
+        "deformed": lambda: draw_deformed(result, component, look.amplification, unit, limits, view),
         "displacement": lambda: draw_displacement(result, preview, component, unit, limits),
-        "strain": lambda: draw_strain(result, drawing.strain, unit, limits, of_panels),
+        "strain": lambda: draw_strain(result, look.strain, unit, limits, of_panels),
         "residual": lambda: draw_residual(result, unit=unit, limits=limits),
         "signed-residual": lambda: draw_residual(result, signed=True, unit=unit, limits=limits),
         "difference": lambda: draw_difference(result, drawing.other or result, component, unit, limits),
         "krylov": lambda: _draw_krylov(result, drawing.other),
         "opening": lambda: _draw_opening(result, unit),
         "near-far": lambda: draw_near_far(result, component, unit),
-        "modes": lambda: draw_modes(_get_separated(result)),
         "line": lambda: draw_line(result, drawing.line or (0.0, 0.0, 0.0, 0.0), unit),
         "corrections": lambda: draw_corrections(result.corrections),
     }
+    if result.separated is not None:
+        by_kind["modes"] = partial(draw_modes, result.separated)
     return by_kind[kind]()
-
-
-def _list_shown(kind: str, drawing: _Drawing) -> list[Result]:
-    """The results that a figure shows."""
-    if kind not in OF_BOTH or drawing.other is None:
-        return [drawing.result]
-    return [drawing.result, drawing.other]
-
-
-def _get_separated(result: Result) -> SeparatedField:
-    """The products of a result that has them: others are not asked for modes."""
-    if result.separated is None:
-        raise TypeError("a result without products has no modes")
-    return result.separated
 
 
 def _draw_krylov(result: Result, other: Result | None) -> Figure:

@@ -26,44 +26,24 @@ CURVES = "curves"
 ANIMATED = ("deformed", "displacement", "strain", "residual", "signed-residual")
 
 
-@dataclass(frozen=True)
-class FrameChoice:
-    """What of a series is drawn.
+def require_drawable(path: Path, kind: str, number: int | None, *, animate: bool, is_series: bool) -> None:
+    """Refuse what cannot be drawn of a file, which may hold a series; the InputError says what to give instead.
 
-    Attributes
-    ----------
-    number : int or None
-        One frame.
-    animate : bool
-        All of them, one after the other.
-    kind : str
-        As --kind gives it.
+    ``kind`` is as --kind gives it, ``number`` that of one frame.
     """
-
-    number: int | None
-    animate: bool
-    kind: str
-
-    def require_drawable(self, path: Path, *, is_series: bool) -> None:
-        """Refuse what cannot be drawn of a file, which may hold a series; the InputError says what to give instead."""
-        if self.animate and self.number is not None:
-            raise InputError("--animate and --frame: give one of them")
-        if not is_series:
-            self._check_pair(path)
-        elif self.animate and self.kind not in ANIMATED:
-            raise InputError(f"--animate: of one --kind of {', '.join(ANIMATED)}, not {self.kind}")
-        elif self.number is not None and self.kind == CURVES:
-            raise InputError(f"--kind {CURVES}: of all frames; leave --frame out")
-        elif not self.animate and self.number is None and self.kind not in (CURVES, "all"):
-            raise InputError(f"{path}: holds the frames of a series; for --kind {self.kind} choose one by --frame, or "
-                             "give --animate")
-
-    def _check_pair(self, path: Path) -> None:
-        if not path.is_file():
-            return
-        asked = "--animate" if self.animate else f"--kind {CURVES}" if self.kind == CURVES else None
-        if asked is not None:
+    if animate and number is not None:
+        raise InputError("--animate and --frame: give one of them")
+    if not is_series:
+        asked = "--animate" if animate else f"--kind {CURVES}"
+        if (animate or kind == CURVES) and path.is_file():
             raise InputError(f"{asked}: of a series, and {path} is the result of a pair; leave it out")
+    elif animate and kind not in ANIMATED:
+        raise InputError(f"--animate: of one --kind of {', '.join(ANIMATED)}, not {kind}")
+    elif number is not None and kind == CURVES:
+        raise InputError(f"--kind {CURVES}: of all frames; leave --frame out")
+    elif not animate and number is None and kind not in (CURVES, "all"):
+        raise InputError(f"{path}: holds the frames of a series; for --kind {kind} choose one by --frame, or give "
+                         "--animate")
 
 
 @dataclass(frozen=True)
