@@ -57,7 +57,8 @@ COMMANDS = {
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
-HOMES = {"calibrate": "calibrate:calibrate_near", "export": "probe:export", "opening": "crack:opening"}
+HOMES = {"calibrate": "calibrate:calibrate_near", "export": "probe:export", "opening": "crack:opening",
+         "report": "info:report"}
 """Module and function of the commands whose name is not that of both."""
 
 CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import os
+import resource
 import sys
 import time
 from collections.abc import Iterator
@@ -129,10 +130,6 @@ def prepare_workspaces() -> None:
 
 def _find_limit() -> int | None:
     """Bytes of address space that a process may have; None for no limit."""
-    try:
-        import resource
-    except ImportError:  # a system without such limits
-        return None
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     return None if limit == resource.RLIM_INFINITY else limit
 

@@ -17,6 +17,7 @@ from ddic.cli.app import frame_option
 from ddic.cli.failures import failures_as_lines, warnings_as_lines
 from ddic.cli.plot_series import CURVES, Look, SharedScale, draw_pages, find_shared_scale, plot_curves, require_drawable
 from ddic.errors import InputError
+from ddic.io.replace_on_exit import made_folder, replaced_together
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -143,7 +144,6 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
     """
     # Imported here because matplotlib is not needed by --help.
-    from ddic.io.replace_on_exit import made_folder
     from ddic.io.series_reader import is_series_file, read_frame, read_series
     from ddic.plots.canvas import find_length_unit
     from ddic.plots.maps import StrainChoice
@@ -196,7 +196,6 @@ def _caption(file: Path, frame: int | None) -> tuple[list[str], str]:
 def _plot_one(kinds: list[str], drawing: _Drawing, pages: PageFiles, caption: tuple[list[str], str]) -> None:
     """Pictures of one result."""
     from ddic.case.own_outputs import PICTURE, require_own_output
-    from ddic.io.replace_on_exit import replaced_together
     from ddic.plots.canvas import draw_caption, draw_failures, save_figure
 
     words, line = caption
