@@ -117,7 +117,6 @@ class Session:
             On all ranks; the session can measure other images afterwards. The second has the last field as ``result``,
             which is written as well where there is an output, under a name that says so.
         """
-        self._team.together(self._require_open)
         images = self._team.together(lambda: self._check_images(deformed, from_last=from_last, start=start))
         given = self._convert_start(start)
         frame = self._open_frame(images)
@@ -195,6 +194,7 @@ class Session:
     def _check_images(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool,
                       start: StartLike | None) -> Sequence[ImageLike]:
         """Check what can be told before images are opened; one image of each camera."""
+        self._require_open()
         n_cameras = len(self._inputs.cameras)
         if from_last and self._last is None:
             raise InputError("from_last: this session has measured nothing yet")
@@ -275,8 +275,7 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
     """
     team = choose_team(options)
     if isinstance(source, str | Path | Case | LoadedCase):
-        chosen = team.together(lambda: _options_beside_a_case(mesh, options))
-        inputs, frame = _open_case(team, chosen, source, output)
+        inputs, frame = _open_case(team, source, mesh, options, output)
         with Session(team, inputs) as session:
             given = session._convert_start(start)
             return session._measure_frame(frame, given, None if output is None else Path(output))
@@ -317,8 +316,8 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
     """A session for as many frames as are expected; collective."""
     team = choose_team(options)
     if isinstance(source, Case | LoadedCase) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
-        chosen = team.together(lambda: _options_beside_a_case(mesh, options))
-        return Session(team, replace(_open_case(team, chosen, source, None)[0], n_frames=n_frames))
+        inputs, _ = _open_case(team, source, mesh, options, None)
+        return Session(team, replace(inputs, n_frames=n_frames))
 
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
     chosen, loaded, given = team.together(lambda: _look(team, mesh, options))
@@ -377,7 +376,10 @@ def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | 
     return chosen
 
 
-def _open_case(team: Team, options: Options, source: object, output: str | Path | None) -> tuple[Inputs, Frame]:
+def _open_case(team: Team, source: object, mesh: object, options: Options | Mapping[str, Any] | None,
+               output: str | Path | None) -> tuple[Inputs, Frame]:
+    """Open what a case or a case file names; collective."""
+    chosen = team.together(lambda: _options_beside_a_case(mesh, options))
     # A name that can be written, where nothing is: what a case names is looked at only if it is used.
     file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
 
@@ -390,9 +392,9 @@ def _open_case(team: Team, options: Options, source: object, output: str | Path 
         return loaded
 
     inputs, frame = open_inputs(team, team.on_root(load))
-    if inputs.rectangle is not None and options.kinematics is not None:
+    if inputs.rectangle is not None and chosen.kinematics is not None:
         team.together(_refuse_kinematics)
-    return replace(inputs, choose_kinematics=check_kinematics(options.kinematics)), frame
+    return replace(inputs, choose_kinematics=check_kinematics(chosen.kinematics)), frame
 
 
 def _refuse_kinematics() -> None:

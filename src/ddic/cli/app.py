@@ -58,7 +58,7 @@ COMMANDS = {
 }
 
 HOMES = {"calibrate": "calibrate:calibrate_near", "export": "probe:export", "opening": "crack:opening",
-         "report": "info:report"}
+         "report": "info:report", "sweep": "studies:sweep", "uncertainty": "studies:uncertainty"}
 """Module and function of the commands whose name is not that of both."""
 
 CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)
