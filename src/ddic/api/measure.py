@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from ddic.api.given import ImageLike, StartLike, convert_given_mesh, convert_start, open_given_image
-from ddic.api.options import Options, check_kinematics, choose_options, choose_team, make_case
+from ddic.api.options import Options, check_kinematics, choose_options, choose_team, load_given_case, make_case
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
-from ddic.check.case import check_loaded_case, check_ranks, load_checked_case
+from ddic.check.case import check_ranks
 from ddic.check.mesh import check_mesh
 from ddic.check.output import check_nothing_is_overwritten, check_output_file
 from ddic.errors import ConvergenceError, DdicError, InputError
@@ -383,15 +383,7 @@ def _open_case(team: Team, source: object, mesh: object, options: Options | Mapp
     # A name that can be written, where nothing is: what a case names is looked at only if it is used.
     file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
 
-    def load() -> LoadedCase:
-        if not isinstance(source, Case | LoadedCase):
-            return load_checked_case(Path(str(source)), team.size, file)
-        given = LoadedCase(source, Path(), "") if isinstance(source, Case) else source
-        loaded = given.with_output(file)
-        check_loaded_case(loaded, team.size)
-        return loaded
-
-    inputs, frame = open_inputs(team, team.on_root(load))
+    inputs, frame = open_inputs(team, team.on_root(lambda: load_given_case(source, Path(), team.size, file)))
     if inputs.rectangle is not None and chosen.kinematics is not None:
         team.together(_refuse_kinematics)
     return replace(inputs, choose_kinematics=check_kinematics(chosen.kinematics)), frame

@@ -12,9 +12,11 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import ValidationError
 
-from ddic.case.loader import convert_shorthand, describe
+from ddic.case.loader import LoadedCase, convert_shorthand, describe
 from ddic.case.schema import Case
+from ddic.check.case import check_loaded_case, load_checked_case
 from ddic.errors import InputError
+from ddic.io.input_file import as_path
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
@@ -89,6 +91,20 @@ def check_kinematics(kinematics: ChooseKinematics | None) -> ChooseKinematics | 
         return found
 
     return choose
+
+
+def load_given_case(source: object, place: Path, n_ranks: int, output: Path | None = None) -> LoadedCase:
+    """Load a case file, or take a case that is in memory, and check it all; ``place`` stands for the latter's file.
+
+    ``output`` takes the place of the result file that the case names. Raises InputError with a line for each problem.
+    """
+    if not isinstance(source, Case | LoadedCase):
+        return load_checked_case(as_path(source, "case"), n_ranks, output)
+    loaded = LoadedCase(source, place, "") if isinstance(source, Case) else source
+    if output is not None:
+        loaded = loaded.with_output(output)
+    check_loaded_case(loaded, n_ranks)
+    return loaded
 
 
 def make_case(settings: Mapping[str, Any]) -> Case:
