@@ -72,12 +72,12 @@ class RunConsole:
 
     def frame(self, number: int, n_frames: int, image: str) -> None:
         """Print which frame of a series begins, numbered from 1, and the name of its image file."""
-        self._shown.settle()
+        self._shown.show_phases()
         self._print(f"frame {number} of {n_frames}: {image}")
 
     def problem_size(self, size: ProblemSize) -> None:
         """Print the sizes of what is about to be solved."""
-        self._shown.settle()
+        self._shown.show_phases()
         self._range = size.dynamic_range or 1.0
         weight = f", eta = {size.eta:.4g}" if size.eta else ""
         self._print(f"{size.n_unknowns} unknowns, {size.n_cells} elements, {size.n_pixels} pixels; "
@@ -204,7 +204,7 @@ class _PhaseLines:
     def add_iteration(self, *, is_correction: bool) -> None:
         pass
 
-    def settle(self) -> None:
+    def show_phases(self) -> None:
         # So that no line of a phase before lands in the iteration table.
         self.stop()
 

@@ -106,8 +106,8 @@ class ProgressBar:
         self._share.add_iteration(OF_CORRECTION if is_correction else OF_ITERATION)
         self._progress.update(self._task, completed=self._share.done)
 
-    def settle(self) -> None:
-        """Do nothing: the bar stays below what is printed."""
+    def show_phases(self) -> None:
+        """Do nothing: the bar shows them, below what is printed."""
 
     def stop(self) -> None:
         """Remove the bar."""
