@@ -47,7 +47,7 @@ class RunConsole:
             from ddic.cli.progress_bar import ProgressBar
 
             self._shown = ProgressBar()
-        self._print = self._shown.print_line
+        self._print = self._shown.show_line
         self._range = 1.0
         self._seconds: dict[Phase, float] = {}
 
@@ -190,7 +190,7 @@ class _PhaseLines:
         self._began = 0.0
         self._unprinted: dict[Phase, float] = {}
 
-    def print_line(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         click.echo(line)
 
     def begin(self, phase: Phase) -> None:
@@ -226,7 +226,7 @@ class _PhaseLines:
     def _print_all_but(self, kept: Phase | None) -> None:
         for phase, seconds in list(self._unprinted.items()):
             if phase != kept and seconds >= NOTICEABLE:
-                self.print_line(f"{phase}: {seconds:.2f} s")
+                self.show_line(f"{phase}: {seconds:.2f} s")
                 del self._unprinted[phase]
 
 

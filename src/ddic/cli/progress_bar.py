@@ -86,7 +86,7 @@ class ProgressBar:
         self._task = self._progress.add_task("start", total=1.0)
         self._progress.start()
 
-    def print_line(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Print a line as it is, at once."""
         self._console.print(line, markup=False)
         sys.stdout.flush()
