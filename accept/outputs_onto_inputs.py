@@ -18,7 +18,7 @@ from accept.support.own_device import make_device
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import ddic, ddic_command, environment, images
-from ddic.cli.app import main
+from ddic.cli.app import command_line
 
 INPUTS = ("far_reference.tif", "far_deformed.tif", "near_reference.tif", "near_deformed.tif", "truth.json", "mask.png",
           "mesh.msh", "mapping.toml", "partition.txt", "points.csv", "case.toml", "result.vtkhdf", "device", "pipe")
@@ -174,7 +174,7 @@ def _try(folder: Path, writer: Writer, input_: str, way: str) -> Iterator[str]:
 def _ask(name: str, words: Sequence[str]) -> tuple[int, list[str]]:
     """Exit code of a command, and its lines on standard error; a run, which starts MPI, is a process of its own."""
     if name != "run":
-        done = CliRunner().invoke(main, [name, *words])
+        done = CliRunner().invoke(command_line, [name, *words])
         raised = [] if done.exception is None or isinstance(done.exception, SystemExit) else [repr(done.exception)]
         return done.exit_code, [*done.stderr.strip().splitlines(), *raised]
     run = subprocess.run([ddic_command(), "run", *words], env=environment(), capture_output=True, text=True,

@@ -15,9 +15,9 @@ from bench.support.rows import Row
 from bench.support.runs import NotHereError, ddic, ddic_run, images
 from ddic.io.result_reader import read_result
 from ddic.plots.canvas import POINTS_AN_INCH
+from ddic.report.gathered import gather_all
 from ddic.report.items import find_worst_places
 from ddic.report.page import DPI, draw_report_figures
-from ddic.report.statement import gather_all
 
 EXPECTED = ("displacement x", "displacement y", "strain xx", "strain yy", "strain xy", "deformed mesh", "residual",
             "iterations", "Krylov iterations", "residual histogram", "grey-level histogram")

@@ -9,7 +9,7 @@ import click
 from accept.trials.good_case import PAIR
 from accept.trials.path_edits import NAME, make_own_device
 from accept.trials.trial import CASE_FILE, Trial
-from ddic.cli.app import COMMANDS, main
+from ddic.cli.app import COMMANDS, command_line
 
 GOOD: Mapping[str, tuple[str, ...]] = {
     "run": (CASE_FILE,), "check": (CASE_FILE,), "uncertainty": (CASE_FILE, "--sizes", "16", "--displacements", "2"),
@@ -40,7 +40,7 @@ def list_command_trials() -> list[Trial]:
 
 
 def _of_command(name: str) -> Iterator[Trial]:
-    command = main.get_command(click.Context(main), name)
+    command = command_line.get_command(click.Context(command_line), name)
     assert command is not None
     good = GOOD.get(name, ())
     if isinstance(command, click.Group):

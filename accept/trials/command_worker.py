@@ -65,14 +65,14 @@ def _answer(request: Mapping[str, Any]) -> dict[str, int]:
 
 def _run(arguments: list[str]) -> int:
     """Run one command as its process would; returns the exit code."""
-    from ddic.cli.app import main
+    from ddic.cli.app import command_line
 
     # What an earlier command was warned of would not be said again.
     warnings.resetwarnings()
     for module in list(sys.modules.values()):
         getattr(module, "__warningregistry__", {}).clear()
     try:
-        main.main(arguments, prog_name="ddic")
+        command_line.main(arguments, prog_name="ddic")
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:

@@ -77,7 +77,7 @@ def _write_images(folder: Path, bit_depth: int) -> None:
         tifffile.imwrite(folder / f"{name}.tif", values)
 
 
-def compile_and_say_how_long() -> None:
+def compile_and_tell() -> None:
     """Compile, and say how long it took; a second time takes a few seconds."""
     # BLAS reads these when numpy is imported.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -88,4 +88,4 @@ def compile_and_say_how_long() -> None:
 
 
 if __name__ == "__main__":
-    compile_and_say_how_long()
+    compile_and_tell()

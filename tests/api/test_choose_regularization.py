@@ -15,7 +15,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
-from ddic.cli.sweep import sweep
+from ddic.cli.studies import sweep
 from ddic.errors import InputError
 from ddic.inputs.inputs import Inputs
 from ddic.methods import sweep as sweeping

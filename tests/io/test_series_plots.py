@@ -16,7 +16,7 @@ from accept.support.clipped_texts import find_clipped_texts
 from ddic.cli.crack import crack, opening
 from ddic.cli.info import info
 from ddic.cli.plot import plot
-from ddic.cli.plot_series import Look, find_shared_scale
+from ddic.cli.plot_figures import Look, find_shared_scale
 from ddic.cli.probe import export
 from ddic.io.series_reader import gather_history, read_series
 from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption

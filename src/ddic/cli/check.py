@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_start import take_closed_pipes_as_errors
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.failures import failures_as_lines, take_closed_pipes_as_errors, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ def check(case_file: Path, drawing: Path | None) -> None:
     from ddic.check.case import check_case_file
 
     take_closed_pipes_as_errors()
-    with errors_as_lines(drawing), warnings_as_lines():
+    with failures_as_lines(drawing), warnings_as_lines():
         if drawing is not None:
             _check_drawing(drawing)
             require_own_output(drawing, PICTURE, (case_file,))

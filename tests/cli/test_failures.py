@@ -14,8 +14,8 @@ import numba
 import pytest
 from numba.core import caching
 
-from ddic.cli import failed_start
-from ddic.cli.failed_start import failures_as_lines
+from ddic.cli import failures
+from ddic.cli.failures import failures_as_lines
 from support.cases import write_case, write_images
 from support.commands import DDIC, Finished, driven, finished, started, wait_for
 
@@ -132,7 +132,7 @@ def test_a_limit_of_file_sizes_keeps_no_launcher_waiting(folder: Path) -> None:
 def test_no_folder_for_kernels_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch,
                                                  capsys: pytest.CaptureFixture[str]) -> None:
     # As where neither the sources' folder nor the user's may be written to.
-    monkeypatch.setattr(failed_start, "find_rank", lambda: None)
+    monkeypatch.setattr(failures, "find_rank", lambda: None)
     monkeypatch.setattr(caching.CompileResultCacheImpl, "_locator_classes", [])
     with pytest.raises(SystemExit) as end, failures_as_lines():
         numba.njit(cache=True)(write_case)

@@ -1,7 +1,4 @@
-"""What a report is made of: a result, its summary and, where they are still there, its images.
-
-What a report states: items that belong together, and the words for what is not known.
-"""
+"""What a report is made of: a result, its summary and, where they are still there, its images."""
 
 from __future__ import annotations
 
@@ -16,6 +13,12 @@ from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.image_file import ImageFile, open_image
 from ddic.io.result_reader import Result
+
+NOT_RECORDED = "not recorded"
+"""In place of a value that the result does not hold."""
+
+NOT_STATED = "not stated in the case"
+"""In place of a value that only the user knows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,29 +121,3 @@ def _pick_frame(summary: Mapping[str, Any], result: Result) -> Mapping[str, Any]
     record: Mapping[str, Any] = next((one for one in summary["frames"] if one["time"] == time), {})
     seconds = {"this frame of the series": record["seconds"]} if "seconds" in record else {}
     return {**record, "seconds": seconds, "stop": ""}
-
-
-NOT_RECORDED = "not recorded"
-"""In place of a value that the result does not hold."""
-
-NOT_STATED = "not stated in the case"
-"""In place of a value that only the user knows."""
-
-Items = list[tuple[str, str]]
-"""What is stated, and its value."""
-
-
-@dataclass(frozen=True)
-class Statement:
-    """Items that belong together.
-
-    Attributes
-    ----------
-    title : str
-        Above them.
-    items : list of (str, str)
-        Name and value of each.
-    """
-
-    title: str
-    items: Items
