@@ -1,4 +1,4 @@
-"""Two plates of a bolted assembly slide by 7.5 px: what levels and enrichment are worth [RHR08, section 5]."""
+"""Two plates of a bolted assembly slide by 7.5 px: what levels and enrichment are worth [RHR08, section 6.1]."""
 
 from __future__ import annotations
 

@@ -9,11 +9,12 @@ from matplotlib.text import Text
 
 from accept.openhole import case_text
 from accept.support.browser import WIDTH, ShownPage, find_browser, show_page
+from accept.support.clipped_texts import find_clipped_texts
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import NotHereError, ddic, ddic_run, images
 from ddic.io.result_reader import read_result
-from ddic.plots.canvas import POINTS_AN_INCH, find_clipped_texts
+from ddic.plots.canvas import POINTS_AN_INCH
 from ddic.report.items import find_worst_places
 from ddic.report.page import DPI, draw_report_figures
 from ddic.report.statement import gather_all

@@ -15,8 +15,7 @@ from accept.trials.mutate import MUTATIONS, mutate
 from accept.trials.schema_trials import list_schema_trials
 from accept.trials.trial import Raw, Trial, change, write_toml
 from accept.trials.watched_worker import HUNG, Ended
-from ddic.case.loader import find_section_in
-from ddic.case.schema import Case
+from ddic.case.schema import Case, find_section_in
 from ddic.cli.app import COMMANDS
 
 GOOD = Ended(2, "", "case.toml: what is wrong\n", 0, 0.1)

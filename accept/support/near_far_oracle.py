@@ -1,4 +1,6 @@
-"""Eq. 23 of [BP17] for one linear step of a near-field and far-field case: one saddle point, solved directly.
+"""The saddle point of Eq. 21 of [BP17] with the gap of the whole region, for one linear step of a near and far case.
+
+Solved directly; it equals Eq. 23 with the paper's weighting alone.
 
 Unknowns are what each camera sees, v_f and v_n = u + alpha, the multipliers of the jumps between them and alpha, which
 has no stiffness but its columns in the jumps. Nothing here knows subdomains, or kinematics.

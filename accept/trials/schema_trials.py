@@ -13,8 +13,7 @@ from pydantic import BaseModel
 from accept.trials.good_case import NEAR, OF_SECTION, PAIR
 from accept.trials.path_edits import BAD_PATHS
 from accept.trials.trial import Keys, Raw, Trial, change
-from ddic.case.loader import find_section_in
-from ddic.case.schema import Case
+from ddic.case.schema import Case, find_section_in
 
 NUMBERS: Mapping[str, Any] = {
     "negative": -1, "zero": 0, "nan": Raw("nan"), "infinite": Raw("inf"), "huge": Raw("1e308"), "tiny": Raw("1e-300"),

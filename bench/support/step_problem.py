@@ -103,7 +103,7 @@ class StepProblem:
         return assemble(self.team, self.reference, [1.0])
 
     def right_hand_sides(self, q: Sequence[Vector]) -> list[Vector]:
-        """Give b_s at a displacement, Eq. 5 of [BP17].
+        """Give b_s at a displacement, Eq. 7 of [BP17].
 
         Parameters
         ----------

@@ -12,15 +12,15 @@ import pytest
 from click.testing import CliRunner, Result
 from PIL import Image
 
+from accept.support.clipped_texts import find_clipped_texts
 from ddic.cli.crack import crack, opening
 from ddic.cli.info import info
 from ddic.cli.plot import plot
 from ddic.cli.plot_series import Look, find_shared_scale
 from ddic.cli.probe import export
 from ddic.io.series_reader import gather_history, read_series
-from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption, find_clipped_texts
-from ddic.plots.deformed import draw_deformed
-from ddic.plots.maps import StrainChoice, draw_strain
+from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption
+from ddic.plots.maps import StrainChoice, draw_deformed, draw_strain
 from ddic.plots.series import draw_time_curves
 from support.series_files import STRAIN, FrameFile, write_series_file
 

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from ddic.case.loader import load_case
-from ddic.inputs.cameras import open_cameras, open_in_headers
+from ddic.inputs.cameras import open_cameras
 from ddic.inputs.inputs import Inputs, SolverChoice
 from ddic.inputs.mesh_source import build_meshes
+from ddic.io.image_file import open_image
 from ddic.io.result_reader import read_result
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
@@ -36,7 +37,7 @@ def choose(folder: Path, solver: str = "", more: str = "", n_ranks: int = 2, mem
     if not (folder / "f.tif").exists():
         write_images(folder)
     case = load_case(write_case(folder, f"[solver]\n{solver}\n{more}")).case
-    cameras = open_cameras(case, open_in_headers)
+    cameras = open_cameras(case, open_image)
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height), **changes)
     return weigh_candidates(build_region_mesh(inputs), n_ranks, memory)

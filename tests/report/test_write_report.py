@@ -16,6 +16,7 @@ from click.testing import CliRunner
 import ddic
 from accept.report_page import LEAST_LIKENESS, find_smallest_type
 from accept.support.browser import find_browser, probe_page, show_page
+from accept.support.clipped_texts import find_clipped_texts
 from ddic.case.schema import AcquisitionSection
 from ddic.cli.report import report
 from ddic.errors import ConvergenceError
@@ -23,7 +24,6 @@ from ddic.images.binned import BLUR_NOTE
 from ddic.images.grey_levels import measure_feature_size
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import read_result
-from ddic.plots.canvas import find_clipped_texts
 from ddic.report.items import OF_SETUP, find_worst_places, list_statements
 from ddic.report.page import draw_report_figures
 from ddic.report.statement import NOT_RECORDED, NOT_STATED, gather_all

@@ -1,4 +1,4 @@
-"""Averages of the copies at interface nodes, Eq. 41 of [BP17]."""
+"""Averages of the copies at interface nodes, section 5.3.2 of [BP17]."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One linear step with near and far cameras on random data, and the saddle point of Eq. 23 of [BP17] that it solves."""
+"""One linear step with near and far cameras on random data, and the saddle point that it solves.
+
+That of Eq. 21 of [BP17] with the gap of the whole region, which equals Eq. 23 with the paper's weighting alone.
+"""
 
 from __future__ import annotations
 
@@ -173,7 +176,7 @@ class NearFarCut:
 
 @cache
 def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False) -> list[Array]:
-    """dq of every subdomain by Eq. 23 of [BP17], one sparse LU.
+    """dq of every subdomain by Eq. 21 of [BP17] with the gap of the whole region, one sparse LU.
 
     Unknowns are what each camera sees, v = u + R alpha before a near camera and u before the far one; alpha has no
     stiffness but its columns in the jumps: +R on rows oriented from near to far, -R from far to near. Where the far

@@ -26,7 +26,7 @@ from ddic.case.schema import (
 )
 from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
-from ddic.inputs.cameras import Camera, FieldOfView
+from ddic.inputs.cameras import Camera
 from ddic.inputs.inputs import Inputs
 from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
@@ -102,7 +102,7 @@ def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3
 def _near_camera(low: Array, high: Array, motion: MotionKind) -> Camera:
     """A camera whose image shows the box and some pixels around it, a little turned and tilted."""
     setup, side = set_up_over_box(low, high, motion, 0.05)
-    return Camera(1, speckle(1, side), setup, None, FieldOfView(None, 0.0, has_own_mesh=True))
+    return Camera(1, speckle(1, side), setup, None, has_own_mesh=True)
 
 
 class TiedCut:

@@ -29,18 +29,17 @@ from ddic.api.options import (
     open_given_image,
 )
 from ddic.case.loader import LoadedCase
+from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
-from ddic.check.case import check_loaded_case, check_ranks, load_checked_case
+from ddic.check.case import check_case, check_ranks, load_checked_case
 from ddic.check.mesh import check_mesh
-from ddic.check.output import check_nothing_is_overwritten, check_output_file
 from ddic.errors import ConvergenceError, DdicError, InputError
-from ddic.images.camera import identity
 from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
-from ddic.inputs.cameras import Camera, Frame, make_setup
+from ddic.inputs.cameras import Camera, Frame, make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import accept_mesh, convert_mapping
-from ddic.inputs.rectangle import Rectangle, check_rectangle, find_rectangle, find_rectangle_of_case
+from ddic.inputs.rectangle import Rectangle, build_rectangle, check_rectangle, find_rectangle
 from ddic.inputs.start_points import StartPoints, check_start_points
 from ddic.io.input_file import as_path
 from ddic.io.mesh_file import convert_mesh
@@ -469,7 +468,7 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
     # Of more frames than one some are measured after this call, by when the user may have written into arrays.
     keeps = n_frames > 1
     reference = open_given_image(team, source, "reference image", keeps=keeps)
-    camera = Camera(0, reference, make_setup(identity(), reference, "none"), loaded.case.images.noise)
+    camera = make_first_camera(reference, loaded.case.images.noise)
     if loaded.case.pgd is not None:
         rectangle = team.together(lambda: _choose_rectangle(chosen, loaded, given, reference))
         return Session(team, Inputs(loaded.case, (camera,), _build_no_mesh, rectangle=rectangle))
@@ -504,7 +503,7 @@ def _choose_rectangle(chosen: Options, loaded: LoadedCase, mesh: Mesh | None, re
     """What PGD-DIC measures of images in memory; raises InputError where it cannot."""
     if chosen.kinematics is not None:
         _refuse_kinematics()
-    rectangle = find_rectangle_of_case(loaded.case) if mesh is None else find_rectangle(mesh)
+    rectangle = build_rectangle(loaded.case) if mesh is None else find_rectangle(mesh)
     check_rectangle(loaded.case, rectangle, reference.image.width, reference.image.height)
     return rectangle
 
@@ -530,7 +529,7 @@ def _open_case(team: Team, options: Options, source: object, output: str | Path 
             return load_checked_case(Path(str(source)), team.size, file)
         given = LoadedCase(source, Path(), "") if isinstance(source, Case) else source
         loaded = given.with_output(file)
-        check_loaded_case(loaded, team.size)
+        check_case(loaded, team.size)
         return loaded
 
     inputs, frame = open_inputs(team, team.on_root(load))

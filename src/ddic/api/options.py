@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from ddic.case.loader import convert_shorthand, describe
+from ddic.case.loader import convert_shorthand, convert_to_case
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
 from ddic.images.binned import ArraySource
@@ -163,10 +162,7 @@ def make_case(settings: Mapping[str, Any]) -> Case:
     except TypeError as error:
         raise InputError(f"options: {error}") from error
     _refuse_what_arguments_say(data)
-    try:
-        return Case.model_validate_json(json.dumps(_complete(data)), strict=True)
-    except ValidationError as error:
-        raise InputError([f"options: {line}" for line in describe(error, _complete(data))]) from error
+    return convert_to_case(_complete(data), "options")
 
 
 def _refuse_what_arguments_say(data: Mapping[str, Any]) -> None:

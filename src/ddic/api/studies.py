@@ -16,16 +16,15 @@ from scipy import ndimage
 
 from ddic.api.measure import measure
 from ddic.api.options import make_case
-from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import list_deformed
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
-from ddic.check.case import check_loaded_case, load_checked_case
+from ddic.check.case import check_case, load_checked_case
 from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
 from ddic.images.binned import ArraySource
-from ddic.images.camera import identity
 from ddic.images.sub_image import MaskedSource
-from ddic.inputs.cameras import Camera, make_setup
+from ddic.inputs.cameras import make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH, build_meshes
 from ddic.io.input_file import as_path
@@ -88,7 +87,7 @@ def _load(source: str | Path | Case | LoadedCase, n_ranks: int) -> LoadedCase:
     if not isinstance(source, Case | LoadedCase):
         return load_checked_case(as_path(source, "case"), n_ranks)
     loaded = LoadedCase(source, Path("case"), "") if isinstance(source, Case) else source
-    check_loaded_case(loaded, n_ranks)
+    check_case(loaded, n_ranks)
     return loaded
 
 
@@ -327,7 +326,7 @@ def _mesh_inside(shape: tuple[int, ...], size: float) -> Mesh:
 def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any] | None, noise: float) -> float:
     """Displacement noise at nodes by the operator alone, pixels."""
     reference = MaskedSource(ArraySource(Path("image"), grey.astype(np.float32)))
-    camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
+    camera = make_first_camera(reference, None)
     inputs = Inputs(make_case(settings or {}), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
     try:
         return estimate_nodal_noise(inputs, noise)

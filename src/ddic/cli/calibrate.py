@@ -32,7 +32,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
-    from ddic.calibration import near as near_calibration
+    from ddic.calibration.near import calibrate_near_camera
     from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import hold_image
@@ -44,7 +44,7 @@ def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool
             images = [hold_image(path) for path in (far, near)]
             for image in images:
                 check_finite(image)
-            found = near_calibration.calibrate(images[0], images[1], ratio, model, distortion)
+            found = calibrate_near_camera(images[0], images[1], ratio, model, distortion)
         if output is not None:
             _write(output, found)
     for name, value in _lines(found):

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 from ddic.errors import DdicError
-from ddic.parallel.abort_all_ranks import INTERRUPTED, abort_all_ranks, find_rank
+from ddic.parallel.stop_request import INTERRUPTED, abort_all_ranks, find_rank
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE)
 """Errors of writing; those about a file name it."""

@@ -20,7 +20,7 @@ import click
 from ddic.cli.failed_start import FULL
 from ddic.errors import DdicError, InputError, WriteError, is_collective, is_disk_failure
 from ddic.io.replace_on_exit import remove_unfinished
-from ddic.parallel.abort_all_ranks import INTERRUPTED, is_launcher
+from ddic.parallel.stop_request import INTERRUPTED, is_launcher
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team

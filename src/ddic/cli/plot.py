@@ -298,10 +298,8 @@ def _reference(result: Result, image: Path | None) -> Preview | None:
 
 def _figure(kind: str, drawing: _Drawing) -> Figure:
     """One figure, by its kind; a difference is asked for only where there is another result."""
-    from ddic.plots.cameras import draw_near_far
     from ddic.plots.curves import draw_corrections, draw_line, draw_modes
-    from ddic.plots.deformed import draw_deformed
-    from ddic.plots.maps import draw_difference, draw_displacement, draw_strain
+    from ddic.plots.maps import draw_deformed, draw_difference, draw_displacement, draw_near_far, draw_strain
     from ddic.plots.partition import draw_partition
     from ddic.plots.residual import draw_residual
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
     from ddic.plots.canvas import Component, LengthUnit, Limits
-    from ddic.plots.deformed import SharedView
-    from ddic.plots.maps import StrainChoice
+    from ddic.plots.maps import SharedView, StrainChoice
 
 CURVES = "curves"
 ANIMATED = ("deformed", "displacement", "strain", "residual", "signed-residual")
@@ -114,7 +113,7 @@ def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScal
     """
     import numpy as np
 
-    from ddic.plots.deformed import find_shared_view
+    from ddic.plots.maps import find_shared_view
 
     # (n_frames, n_panels, 2)
     found = np.array([_find_limits(result, kind, look) for result in series])

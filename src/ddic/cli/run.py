@@ -20,8 +20,7 @@ from ddic.cli.surroundings import imports_kept, prepare_workspaces
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
-from ddic.parallel.abort_all_ranks import INTERRUPTED, find_rank, prepare_abort
-from ddic.parallel.stop_request import StopRequest
+from ddic.parallel.stop_request import INTERRUPTED, StopRequest, find_rank, prepare_abort
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team

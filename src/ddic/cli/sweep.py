@@ -87,7 +87,7 @@ def _write(found: Sweep, folder: Path, stem: str) -> list[str]:
     """Write table and figure; returns the lines that say what was found and where it is."""
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.plots.canvas import save_figure
-    from ddic.plots.sweep import draw_sweep
+    from ddic.plots.curves import draw_sweep
     from ddic.results.sweep import collect_by_size, list_failures, write_sweep
 
     table, figure = _list_outputs(folder, stem)
@@ -110,10 +110,9 @@ def _check_outputs(case_file: Path, folder: Path) -> None:
     """Refuse outputs that would replace an input."""
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, TRIALS, require_own_output
-    from ddic.check.output import list_inputs
 
     for path, kind in zip(_list_outputs(folder, case_file.stem), (TRIALS, PICTURE), strict=True):
-        require_own_output(path, kind, list_inputs(load_case(case_file)))
+        require_own_output(path, kind, load_case(case_file).list_inputs())
 
 
 def _list_outputs(folder: Path, stem: str) -> tuple[Path, Path]:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 import click
 
 from ddic.errors import InputError, WriteError, is_disk_failure
-from ddic.io.image_header import MOST_PIXELS_ALONG
 
 if TYPE_CHECKING:
     from ddic.io.replace_on_exit import NewFiles
@@ -45,6 +44,8 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
 
     Raises BadParameter where it is no such text.
     """
+    from ddic.io.image_formats import MOST_PIXELS_ALONG
+
     if text is None:
         return None
     match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)

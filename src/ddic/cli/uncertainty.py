@@ -37,7 +37,6 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     from ddic.api.studies import BASES, estimate_uncertainty
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
-    from ddic.check.output import list_inputs
     from ddic.images.window import Window
     from ddic.io.image_file import open_image
     from ddic.io.replace_on_exit import made_folder, replaced_together
@@ -49,7 +48,7 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     with errors_as_lines(folder):
         loaded = load_case(case_file)
         for path, kind in ((table, UNCERTAINTY), (figure, PICTURE)):
-            require_own_output(path, kind, list_inputs(loaded))
+            require_own_output(path, kind, loaded.list_inputs())
         case = loaded.case
         image = open_image(case.images.reference)
         of_elements = _parse_sizes(sizes)

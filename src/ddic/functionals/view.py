@@ -1,4 +1,4 @@
-"""What one camera says about a subdomain: Eq. 5 of [BP17] in the subdomain's unknowns.
+"""What one camera says about a subdomain: M and b, Eq. 7 of [BP17], in the subdomain's unknowns.
 
 How steep the reference image is in each cell.
 """
@@ -131,7 +131,7 @@ class View:
         return float(values.min()), float(values.max())
 
     def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
-        """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
+        """Assemble M of this camera on displacements of nodes in its image, Eq. 7 of [BP17].
 
         Over the pixels of some cells, given by number, by default of all; grey levels squared per pixel squared.
         """
@@ -191,7 +191,7 @@ class FrameView(View):
 
     def assemble_right_hand_side(self, residual: Residual, gain: Correction = 1.0,
                                  offset: Correction = 0.0) -> NDArray[np.float64]:
-        """Assemble b of this camera in the subdomain's unknowns, w T^T b, Eq. 5 of [BP17].
+        """Assemble b of this camera in the subdomain's unknowns, w T^T b, Eq. 7 of [BP17].
 
         The camera's part of b_s, (n_unknowns,), grey levels squared per pixel, from the residual of
         ``compute_residual``.

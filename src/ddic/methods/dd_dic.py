@@ -1,4 +1,4 @@
-"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17], for any number of cameras and frames.
+"""FE-DIC and R-DIC by dual domain decomposition: the algorithm of [BP17, Fig. 5], for any number of cameras and frames.
 
 Gauss-Newton on one frame, with operators and grey levels that fit what the frame shows of the specimen.
 """

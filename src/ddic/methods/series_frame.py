@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_times
+from ddic.case.named_files import list_times
 from ddic.errors import ConvergenceError, DdicError, SingularSubdomainError, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import inputs_kept

@@ -120,7 +120,7 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     """Cut a mesh and its unknowns into self-contained subdomains, all of them, by number.
 
     ``parts`` is the subdomain of each cell, 0 to n - 1 without gaps; ``controlled`` says whether each unknown's
-    equilibrium row is controlled (P of Eq. 11 of [BP17]), ``has_row`` whether Kbar has a row for it, of whatever
+    equilibrium row is controlled (P of Eq. 9 of [BP17]), ``has_row`` whether Kbar has a row for it, of whatever
     weight: by default for controlled ones. ``interior`` are the nodes at which texture is weighed against mechanics,
     (n_nodes,); by default those that are not on the mesh's boundary.
     """

@@ -96,7 +96,7 @@ def assemble(team: Team, reference: ReferenceProblem, weights: Sequence[float], 
 
 
 def weigh_rows(controlled: NDArray[np.bool_], edge_weight: float) -> Array:
-    """Give the diagonal of P, Eq. 11 of [BP17]: how much the equilibrium of each unknown counts, small at edges."""
+    """Give the diagonal of P, Eq. 9 of [BP17]: how much the equilibrium of each unknown counts, small at edges."""
     return np.where(controlled, 1.0, edge_weight)
 
 

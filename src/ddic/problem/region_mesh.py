@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import PHASES, Material, measure_gap_energies
-from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_cells
+from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_measured_cells
 from ddic.inputs.inputs import Inputs
 from ddic.io.text_files import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
@@ -98,7 +98,7 @@ class RegionMesh:
     measured : list of MeasuredCells
         Cells of each camera.
     controlled : (n_unknowns,) array of bool
-        Whether the equilibrium row of each unknown is controlled: P of Eq. 11 of [BP17].
+        Whether the equilibrium row of each unknown is controlled: P of Eq. 9 of [BP17].
     interior : (n_nodes,) array of bool
         Nodes inside the mesh around which the first camera measures every cell: there texture is weighed against
         mechanics.
@@ -164,13 +164,13 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
     region = cut_region(inputs, mesh, labels)
     if region is None:
         kinematics, interior = _choose_kinematics(inputs, mesh, tying), np.ones(mesh.n_nodes, dtype=bool)
-        measured = seen = collect_cells(cameras, mesh, labels)
+        measured = seen = collect_measured_cells(cameras, mesh, labels)
     else:
         refuse_kinematics(inputs)
         # The start looks at the region as a whole.
-        measured = collect_cells(cameras, mesh, region.cameras)
+        measured = collect_measured_cells(cameras, mesh, region.cameras)
         kinematics, labels = region.kinematics, region.cameras[region.cell_of]
-        seen = collect_cells(cameras, kinematics.mesh, labels)
+        seen = collect_measured_cells(cameras, kinematics.mesh, labels)
         boundary, in_first = region.cut.find_with_phantoms(boundary), region.cut.mesh
         interior = region.find_nodes_away_from_lines()
     interior[boundary] = False

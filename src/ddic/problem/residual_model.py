@@ -134,7 +134,7 @@ class ResidualModel:
         return residuals if self.pulled is None else keep_other_cells(self.pulled, residuals)
 
     def assemble_right_hand_side(self, evaluation: Evaluation, q: Field) -> Field:
-        """Assemble b, Eq. 5 of [BP17], grey levels squared per pixel, from the evaluation at q, on each rank."""
+        """Assemble b, Eq. 7 of [BP17], grey levels squared per pixel, from the evaluation at q, on each rank."""
 
         def assemble(view: FrameView, residual: Residual, q_s: Array) -> Array:
             followed = view.with_moved_gradient(q_s) if self.follows else view

@@ -21,8 +21,7 @@ from ddic.io.image_file import ImageFile
 from ddic.io.result_reader import Result
 from ddic.mesh.quality import measure_covered_areas
 from ddic.plots.canvas import find_length_unit
-from ddic.probes.displacement_chain import find_chain
-from ddic.probes.metrology import Metrology, estimate_metrology
+from ddic.probes.metrology import Metrology, estimate_metrology, find_chain
 from ddic.probes.probes import PointProbe
 from ddic.report.statement import NOT_RECORDED, NOT_STATED, Gathered, Items, Statement
 

@@ -25,10 +25,10 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
 from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
 from ddic.plots.curves import draw_corrections, draw_iterations, draw_krylov
-from ddic.plots.deformed import draw_deformed
 from ddic.plots.maps import (
     Preview,
     StrainChoice,
+    draw_deformed,
     draw_displacement,
     draw_strain,
     pick_number,

@@ -77,8 +77,8 @@ class Measurement:
     model, whole : ResidualModel
         Owned subdomains with their pixels; ``whole`` with all that the frame shows, also those that do not count.
     q : Field
-        Unknowns since the reference image in use, one value for the copies of an interface unknown (Eq. 41 of
-        [BP17]).
+        Unknowns since the reference image in use, one value for the copies of an interface unknown (section
+        5.3.2 of [BP17]).
     largest_jump : float
         Largest difference between copies before that, pixels.
     evaluation : Evaluation

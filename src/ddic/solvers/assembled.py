@@ -223,7 +223,7 @@ class AssembledStep:
 
 
 def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
-    """Assemble A of Eq. 11: rows of Kbar are complete before they are squared."""
+    """Assemble A of Eq. 11 of [BP17]: rows of Kbar are complete before they are squared."""
     rows = ParallelEntries(team, whole.n_owned, whole.n_owned)
     entries = ParallelEntries(team, whole.n_owned, whole.n_owned)
     for system, of_system, numbers in zip(whole.systems, whole.rows, whole.numbers, strict=True):

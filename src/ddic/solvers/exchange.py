@@ -1,6 +1,6 @@
 """Who owns which number, and the neighbour exchange of values.
 
-From the copies of an interface unknown comes one value, Eq. 41 of [BP17].
+From the copies of an interface unknown comes one value, section 5.3.2 of [BP17].
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class ContinuousField:
 
 
 def average_copies(q: Field) -> ContinuousField:
-    """Average the copies of every interface unknown, pixels, Eq. 41 of [BP17]; collective.
+    """Average the copies of every interface unknown, pixels, section 5.3.2 of [BP17]; collective.
 
     The averages are equal, to the last bit, on all subdomains that share an unknown.
     """

@@ -48,7 +48,7 @@ class LocalSystem:
 
     @cached_property
     def controlled_stiffness(self) -> sparse.csr_matrix | None:
-        """Kbar_s = P diag(w) T^T K T, (n_field, n_unknowns); None without regularization."""
+        """Kbar_s = P diag(w) T^T K T, Eq. 9 of [BP17], (n_field, n_unknowns); None without regularization."""
         if self.stiffness is None or self.projection is None:
             return self.stiffness
         return scale_rows(self.stiffness, self.projection)
@@ -60,7 +60,7 @@ class LocalSystem:
 
     @property
     def operator(self) -> sparse.csr_matrix:
-        """A_s = M_s + eta Kbar_s^T Kbar_s, (n_unknowns, n_unknowns)."""
+        """A_s = M_s + eta Kbar_s^T Kbar_s, Eq. 32 of [BP17], (n_unknowns, n_unknowns)."""
         if self.controlled_stiffness is None:
             return self.hessian
         kbar = self.controlled_stiffness

@@ -1,4 +1,4 @@
-"""Eq. 11 of [BP17] for the whole region, from the subdomains' parts: sums over subdomains, A never formed."""
+"""M + eta Kbar^T Kbar, Eq. 11 of [BP17], of the whole region: sums over the subdomains' parts, never formed."""
 
 from __future__ import annotations
 

@@ -16,8 +16,7 @@ from ddic.errors import InputError
 from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.inputs.cameras import Camera
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
-from ddic.io.damaged_result import require_known_displacement
-from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
+from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides, require_known_displacement
 from ddic.io.result_schema import near_group
 from ddic.io.series_reader import read_frame_or_last
 from ddic.kinematics.enriched import Discontinuities

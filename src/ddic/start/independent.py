@@ -49,7 +49,7 @@ SINGULAR_ALONE = 1e-10
 
 def measure_independently(q: Field, views: ByView[FrameView], hessians: Hessians, correction: GreyCorrection,
                           clock: PhaseClock) -> tuple[Field, list[int]]:
-    """Run FE-DIC on every owned subdomain by itself, by its own camera; collective.
+    """Run FE-DIC, M dq = b of Eq. 6 of [BP17], on every owned subdomain by itself, by its own camera; collective.
 
     ``q`` are the unknowns of fields to start from, (n_field,), the set-ups of all cameras still; so are those found. A
     subdomain whose M_s is singular or that does not converge keeps what it had: the numbers of these come as well.

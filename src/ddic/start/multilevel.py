@@ -1,4 +1,6 @@
-"""Start of the displacement: rigid FFT correlation, matched features, a coarse-graining pyramid [BP17, Fig. 5].
+"""Start of the displacement: rigid FFT correlation, matched features, a coarse-graining pyramid.
+
+The first is that of [RHR08, section 3.2], the pyramid that of [BP17, section 3.2.2], features are our own.
 
 Runs on one rank, on images binned so far that they are small whatever the camera; every other rank receives the coarse
 field. What surrounds a small region is looked at in smaller blocks. A level of the pyramid is R-DIC on a square grid
@@ -110,7 +112,7 @@ thirds beside what the translation takes. A larger value finds larger motions, i
 
 @dataclass(frozen=True)
 class LinesOnLevels:
-    """Lines across which the displacement may be discontinuous, and from which level on [RHR08, section 3].
+    """Lines across which the displacement may be discontinuous, and from which level on [RHR08, section 3.2].
 
     Attributes
     ----------

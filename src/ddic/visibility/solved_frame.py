@@ -68,7 +68,7 @@ class SolvedFrame:
     Attributes
     ----------
     field : ContinuousField
-        Unknowns, one value for the copies of each (Eq. 41 of [BP17]).
+        Unknowns, one value for the copies of each (section 5.3.2 of [BP17]).
     solution : Solution
         Unknowns before that, and all iterations.
     seen : SeenFrame

@@ -42,7 +42,8 @@ class Multiplying(Protocol):
 class DualSchurOperator:
     """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
-    The matrix is symmetric and quasi-definite; one local solve per subdomain and product.
+    The matrix is symmetric and quasi-definite; one local solve per subdomain and product. Its blocks, Eq. 27a-c,
+    are never formed.
 
     Parameters
     ----------
@@ -220,7 +221,7 @@ class DualProblem:
         self.operator = DualSchurOperator(self.exchange, self.local_duals)
 
     def set_right_hand_side(self, right: PETSc.Vec, free: Field, q: Field, b: Field) -> None:
-        """Set a vector to t_tot = sum_s G_s (u_s + free_s), Eq. 27 of [BP17]; collective.
+        """Set a vector to t_tot = sum_s G_s (u_s + free_s), Eq. 27d-e of [BP17]; collective.
 
         Rows of a camera's motion are (N_s^T free_s - R_s^T b_s) / kappa. Of each owned subdomain, ``free`` is
         A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), (n_field,); ``q`` is u_s, then the camera's motion.

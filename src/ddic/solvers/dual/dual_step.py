@@ -1,4 +1,4 @@
-"""The linear step of Gauss-Newton by dual domain decomposition, Eq. 24-31 of [BP17]."""
+"""The linear step of Gauss-Newton by dual domain decomposition: dq_s and S_tot, Eq. 24-31 of [BP17]."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class DualSettings:
 
 
 class DualStep:
-    """Solves Eq. 24-25 of [BP17] for dq, with two cameras Eq. 23.
+    """Solves for dq_s by S_tot (Lambda, LambdaBar) = t_tot, Eq. 24-25 of [BP17], with several cameras Eq. 23.
 
     Factors are kept, and the interface problem starts from the previous multipliers. Making it raises
     SingularSubdomainError on all ranks.

@@ -112,7 +112,7 @@ def assemble_schur(local: LocalDual) -> NDArray[np.float64]:
 
 
 def invert_by_blocks(schur: NDArray[np.float64], n_jumps: int) -> NDArray[np.float64]:
-    """Invert S_s by blocks, Eq. 37-40 of [BP17] with the misprints of Eq. 38 put right.
+    """Invert S_s by blocks, Eq. 38-40 of [BP17] with the misprints of Eq. 38 put right.
 
     With a = S^ll, of size ``n_jumps``, b = S^l(lbar), d = S^(lbar)(lbar) - b^T a^-1 b the inverse is
     [[a^-1 + a^-1 b d^-1 b^T a^-1, -a^-1 b d^-1], [-d^-1 b^T a^-1, d^-1]]; a and -d are positive definite. Raises

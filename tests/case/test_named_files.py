@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ddic.case.frame_files import choose_frame, is_series, list_deformed, list_times
 from ddic.case.loader import LoadedCase, load_case
+from ddic.case.named_files import choose_frame, is_series, list_deformed, list_times
 from ddic.errors import InputError
 
 MESH = "[mesh.structured]\nregion = [0, 0, 32, 32]\nelement_size = 16\n"

@@ -1,21 +1,49 @@
-"""The deformed images of a case: one, or those of a series, in order and with their times."""
+"""The files that a case names: what it reads; its deformed images, one or a series, in order and with their times."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from glob import glob
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, get_args
 
-from ddic.case.schema import Case, ImagesSection, NearSection
+from pydantic import BaseModel
+
+from ddic.case.schema import Case, ImagesSection, NearSection, OutputSection, find_section_in
 from ddic.errors import InputError
-from ddic.io.input_file import is_readable_file
+from ddic.io.input_file import find_real_path, is_readable_file
 
 Section = TypeVar("Section", ImagesSection, NearSection)
 
 PATTERN = re.compile(r"[*?\[]")
 """What makes a path a pattern."""
+
+
+def list_named_files(data: Any, folder: Path, section: type[BaseModel] = Case) -> Iterator[Path]:
+    """List the files that a case names and no run replaces: all but its output, in the order of the schema.
+
+    ``data`` is a case, or what a case file holds, wherever else it is wrong, whose paths are relative to ``folder``.
+    """
+    if isinstance(data, list | tuple):
+        for item in data:
+            yield from list_named_files(item, folder, section)
+    if not isinstance(data, BaseModel | Mapping):
+        return
+    for key, value in dict(data).items():
+        field = section.model_fields.get(key)
+        inner = None if field is None else find_section_in(field.annotation)
+        if inner is not None and inner is not OutputSection:
+            yield from list_named_files(value, folder, inner)
+        elif field is not None and _takes_path(field.annotation):
+            items = value if isinstance(value, list | tuple) else [value]
+            yield from (item if isinstance(item, Path) else find_real_path(folder / item)
+                        for item in items if isinstance(item, str | Path))
+
+
+def _takes_path(annotation: Any) -> bool:
+    return annotation is Path or any(_takes_path(inner) for inner in get_args(annotation))
 
 
 def is_series(case: Case) -> bool:
@@ -104,56 +132,63 @@ def _split_numbers(path: Path) -> list[tuple[int, int, str]]:
     return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
 
 
-def _list_contradictions(case: Case) -> list[str]:
+def _list_contradictions(case: Case) -> Iterator[str]:
     """What does not go together in a case with or without a series, a line each."""
     if not is_series(case):
-        return _list_idle_keys(case)
-    lines = []
-    n_frames = len(list_deformed(case.images))
+        yield from _list_idle_keys(case)
+        return
+    images = case.images
+    n_frames = len(list_deformed(images))
     for number, section in enumerate(case.near, start=1):
         n_near = len(list_deformed(section))
         if n_near != n_frames:
-            lines.append(f"near, entry {number}: deformed: {n_near} images, but images.deformed has {n_frames}; give "
-                         "one of each camera for every frame")
-    times = case.images.deformed_time
+            yield (f"near, entry {number}: deformed: {n_near} images, but images.deformed has {n_frames}; give one of "
+                   "each camera for every frame")
+    times = images.deformed_time
     if isinstance(times, tuple):
         if len(times) != n_frames:
-            lines.append(f"images.deformed_time: {len(times)} times for {n_frames} images; give one of each")
+            yield f"images.deformed_time: {len(times)} times for {n_frames} images; give one of each"
         elif any(b <= a for a, b in pairwise(times)):
-            lines.append("images.deformed_time: times have to grow; put the images in order")
-        if case.images.frame_interval is not None:
-            lines.append("images.frame_interval and a list in images.deformed_time: give one of them")
-    elif "deformed_time" in case.images.model_fields_set:
-        lines.append(f"images.deformed_time: one time for {n_frames} images; give a list, or images.frame_interval")
+            yield "images.deformed_time: times have to grow; put the images in order"
+        if images.frame_interval is not None:
+            yield "images.frame_interval and a list in images.deformed_time: give one of them"
+    elif "deformed_time" in images.model_fields_set:
+        yield f"images.deformed_time: one time for {n_frames} images; give a list, or images.frame_interval"
     if case.pgd is not None:
-        lines.append("images.deformed: [pgd] measures one pair at a time; give one image")
+        yield "images.deformed: [pgd] measures one pair at a time; give one image"
     if any(line.vertices is None for line in case.discontinuity):
-        lines.append("images.deformed: a line that is looked for needs one pair; find it on one image first, and give "
-                     "discontinuity.vertices")
+        yield ("images.deformed: a line that is looked for needs one pair; find it on one image first, and give "
+               "discontinuity.vertices")
     if case.series.incremental != "never":
-        lines += [f"series.incremental: {reason}" for is_there, reason in (
-            (case.near, "goes with one camera; leave [[near]] out"),
-            (case.discontinuity, "lines would have to move with the specimen; leave [[discontinuity]] out"),
-            (case.output.uncertainty, "uncertainties would be of the last update; leave output.uncertainty out"),
-            ("residual_image" in case.output.model_fields_set and case.output.residual_image,
-             "pixels of the residual would be those of the last update; leave output.residual_image out"),
-            (case.images.reference_mask is not None and case.images.deformed_mask is None,
-             "a later frame is masked by images.deformed_mask; give one beside images.reference_mask"),
-        ) if is_there]
-    return lines
+        yield from _list_refused_by_updates(case)
 
 
-def _list_idle_keys(case: Case) -> list[str]:
-    lines = []
+def _list_refused_by_updates(case: Case) -> Iterator[str]:
+    """What does not go with later frames that take the place of the reference image."""
+    refused = [
+        (case.near, "goes with one camera; leave [[near]] out"),
+        (case.discontinuity, "lines would have to move with the specimen; leave [[discontinuity]] out"),
+        (case.output.uncertainty, "uncertainties would be of the last update; leave output.uncertainty out"),
+        ("residual_image" in case.output.model_fields_set and case.output.residual_image,
+         "pixels of the residual would be those of the last update; leave output.residual_image out"),
+        (case.images.reference_mask is not None and case.images.deformed_mask is None,
+         "a later frame is masked by images.deformed_mask; give one beside images.reference_mask"),
+    ]
+    for is_there, reason in refused:
+        if is_there:
+            yield f"series.incremental: {reason}"
+
+
+def _list_idle_keys(case: Case) -> Iterator[str]:
     if isinstance(case.images.deformed_time, tuple):
-        lines.append("images.deformed_time: a list goes with several images.deformed; give one number")
+        yield "images.deformed_time: a list goes with several images.deformed; give one number"
     if case.images.frame_interval is not None:
-        lines.append("images.frame_interval goes with several images.deformed; give images.deformed_time")
+        yield "images.frame_interval goes with several images.deformed; give images.deformed_time"
     if "series" in case.model_fields_set:
-        lines.append("[series] goes with several images.deformed: a list, or a pattern such as \"frame_*.tif\"")
-    lines += [f"near, entry {number}: deformed: several images beside one images.deformed; give as many"
-              for number, section in enumerate(case.near, start=1) if isinstance(section.deformed, tuple)]
-    return lines
+        yield '[series] goes with several images.deformed: a list, or a pattern such as "frame_*.tif"'
+    for number, section in enumerate(case.near, start=1):
+        if isinstance(section.deformed, tuple):
+            yield f"near, entry {number}: deformed: several images beside one images.deformed; give as many"
 
 
 def choose_frame(case: Case, number: int) -> Case:
