@@ -35,18 +35,7 @@ SLIP = 1.5
 
 
 def measure_pictures(scale: Scale) -> list[Row]:
-    """Draw all pictures of five cases.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run leaves out the near-field case, which takes longest.
-
-    Returns
-    -------
-    list of Row
-        Clipped texts, folded cells, formats.
-    """
+    """Draw all pictures of five cases."""
     folder = scale.folder("impressions") / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
     cases = {"plate": _measure_plate(folder), "turned strip in mm": _measure_strip(folder),

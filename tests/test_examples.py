@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from accept.support.compare_prints import NUMBER, find_differences
+from accept.support.follow_page import NUMBER, find_differences
 
 pytestmark = pytest.mark.program
 

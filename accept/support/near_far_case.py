@@ -1,9 +1,12 @@
-"""Near-field and far-field cases: their text, each camera measured alone on its own elements, errors."""
+"""Near-field and far-field cases: their text, each camera measured alone on its own elements, errors, oscillation.
+
+And the four panels of Fig. 4 of [BP17]: far and near field measured alone, continuous, regularized.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +18,10 @@ from scipy.spatial import cKDTree
 from bench.support.runs import ddic_command, ddic_run, images
 from ddic.images.camera import CameraMapping, identity
 from ddic.io.result_reader import Result, read_result
+from ddic.kinematics.strain import compute_strain
 from ddic.mesh.mesh import Mesh
+from ddic.plots.cameras import CellPanel, draw_cell_panels
+from ddic.plots.canvas import find_mesh_bounds, save_figure
 from ddic.synth.truth import NearFarTruth, load_near_far_truth
 
 EDGE = 47.5
@@ -51,18 +57,7 @@ class Scene:
     folder: Path
 
     def plate(self, truth_file: Path) -> str:
-        """Give the mesh section of the plate with a hole over the far image.
-
-        Parameters
-        ----------
-        truth_file : Path
-            What ``ddic synth`` wrote.
-
-        Returns
-        -------
-        str
-            TOML text.
-        """
+        """Give the mesh section of the plate with a hole over the far image."""
         hole = json.loads(truth_file.read_text(encoding="utf-8"))["hole"]
         region = [EDGE, EDGE, self.width - 1 - EDGE, self.height - 1 - EDGE]
         return (f"[mesh.structured]\nregion = {region}\nelement_size = {self.element_size:g}\n"
@@ -194,3 +189,104 @@ def alpha_of(joint: Result) -> NDArray[np.float64]:
 def rms(values: NDArray[np.float64]) -> float:
     """Root mean square of components."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+Exact = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def errors(fields: Fields, exact: Exact) -> list[NDArray[np.float64]]:
+    """Error of each camera's field at its nodes, (n_c, 2) far px."""
+    return [u - exact(fields.mesh.nodes[nodes]) for nodes, u in zip(fields.nodes, fields.u, strict=True)]
+
+
+def error_rms(fields: Fields, exact: Exact) -> float:
+    """RMS error per component over both fields; a node of both counts in each."""
+    return rms(np.concatenate(errors(fields, exact)))
+
+
+def interface(fields: Fields) -> NDArray[np.int64]:
+    """Nodes of both cameras."""
+    far, near = fields.nodes
+    return np.asarray(np.intersect1d(far, near))
+
+
+def interface_error(fields: Fields, exact: Exact) -> float:
+    """RMS error per component of both fields at the nodes that they share."""
+    shared = interface(fields)
+    return rms(np.concatenate([e[np.isin(n, shared)] for e, n in zip(errors(fields, exact), fields.nodes,
+                                                                     strict=True)]))
+
+
+def largest_jump(fields: Fields) -> float:
+    """Largest difference of a component between the two fields at the nodes that they share, far px."""
+    shared = interface(fields)
+    far, near = (u[np.searchsorted(n, shared)] for n, u in zip(fields.nodes, fields.u, strict=True))
+    return float(np.abs(far - near).max())
+
+
+def oscillation(fields: Fields, exact: Exact) -> float:
+    """RMS of the second difference e_a - 2 e_b + e_c of the error, per component, far px.
+
+    b runs over the nodes of both cameras, a and c over its two neighbours on each mesh line through b, along the
+    interface as well as across it. Where fields jump, b and neighbours on the interface count once for each field,
+    both in the same one; a neighbour inside has its camera's value.
+    """
+    nodal = []
+    for e, nodes in zip(errors(fields, exact), fields.nodes, strict=True):
+        values = np.full((fields.mesh.n_nodes, 2), np.nan)
+        values[nodes] = e
+        nodal.append(values)
+    differences = []
+    shared = interface(fields)
+    for a, b, c in mesh_lines(fields.mesh, shared):
+        for own, other in (nodal, nodal[::-1]):
+            ends = [np.where(np.isnan(own[k]), other[k], own[k]) for k in (a, c)]
+            differences.append(ends[0] - 2 * own[b] + ends[1])
+    return rms(np.array(differences))
+
+
+def mesh_lines(mesh: Mesh, nodes: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
+    """Neighbours a, c of node b on each mesh line through it, where four quadrilaterals meet at b."""
+    wanted = set(nodes.tolist())
+    cells_at: dict[int, list[list[int]]] = {node: [] for node in wanted}
+    for cell in mesh.cells:
+        corners = [int(k) for k in cell if k >= 0]
+        for k, corner in enumerate(corners):
+            if corner in wanted:
+                cells_at[corner].append([corners[k - 1], corners[(k + 1) % len(corners)], len(corners)])
+    for b, around in sorted(cells_at.items()):
+        if len(around) != 4 or any(n != 4 for *_, n in around):
+            continue
+        next_to: dict[int, set[int]] = {}
+        for one, two, _ in around:
+            next_to.setdefault(one, set()).add(two)
+            next_to.setdefault(two, set()).add(one)
+        for a in sorted(next_to):
+            opposite = set(next_to) - {a} - next_to[a]
+            if len(opposite) == 1 and a < (c := opposite.pop()):
+                yield a, b, c
+
+
+AROUND = 0.35
+
+
+def draw_panels(fields: Mapping[str, Fields], path: Path) -> None:
+    """Strain along y around the near field; fields: independent, continuous, regularized."""
+    alone, joint, regularized = (fields[name] for name in ("independent", "continuous", "regularized"))
+    near = alone.mesh.create_submesh(np.flatnonzero(alone.cells == 1))[0]
+    panels = [_panel("(a) far field alone", alone, [0]), _panel("(b) near field alone", alone, [1]),
+              _panel("(c) continuous, Eq. 21", joint, [0, 1]), _panel("(d) regularized, Eq. 23", regularized, [0, 1])]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_figure(draw_cell_panels(panels, [near], find_mesh_bounds(near.nodes, AROUND), r"$\varepsilon_{yy}$ [-]"), path)
+
+
+def _panel(title: str, fields: Fields, cameras: list[int]) -> CellPanel:
+    shown = fields.mesh.create_submesh(np.flatnonzero(np.isin(fields.cells, cameras)))[0]
+    values = np.concatenate([_strain(fields, camera) for camera in cameras])
+    order = np.argsort(np.concatenate([np.flatnonzero(fields.cells == camera) for camera in cameras]))
+    return CellPanel(title, shown, values[order])
+
+
+def _strain(fields: Fields, camera: int) -> NDArray[np.float64]:
+    part, _ = fields.mesh.create_submesh(np.flatnonzero(fields.cells == camera))
+    return compute_strain(part, fields.u[camera].ravel()).infinitesimal[:, 1]

@@ -14,8 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import ddic
-from accept.report_page import LEAST_LIKENESS, find_smallest_type
-from accept.support.browser import find_browser, probe_page, show_page
+from accept.report_page import LEAST_LIKENESS, find_browser, find_smallest_type, probe_page, show_page
 from ddic.case.schema import AcquisitionSection
 from ddic.cli.report import report
 from ddic.errors import ConvergenceError
