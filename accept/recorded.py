@@ -111,26 +111,7 @@ BY_DEFAULT = Way(lambda text: text, ".defaults.npz", lambda case: DEFAULTS_OF)
 
 def measure_fields(case: RecordedCase, folder: Path, n_ranks: int, source: Source,
                    way: Way) -> dict[str, NDArray[np.float64]]:
-    """Run a case through the command line.
-
-    Parameters
-    ----------
-    case : RecordedCase
-        The case, whose inputs are there.
-    folder : Path
-        Where its files are.
-    n_ranks : int
-        Number of MPI ranks; runs that are not for it are left out.
-    source : Source
-        The package to measure with.
-    way : Way
-        With all pixels as they are, or by defaults.
-
-    Returns
-    -------
-    dict
-        What ``Fields`` says.
-    """
+    """Run a case through the command line, but for runs that are not for this number of ranks; as ``Fields`` says."""
     found = {}
     for run in case.runs:
         if n_ranks not in run.ranks:

@@ -95,7 +95,13 @@ class Plate:
 
 @dataclass(frozen=True)
 class Uniform:
-    """The same displacement everywhere."""
+    """The same displacement everywhere.
+
+    Attributes
+    ----------
+    shift : tuple of float
+        u and v, pixels.
+    """
 
     shift: tuple[float, float]
 

@@ -68,7 +68,15 @@ def measure_source(scale: Scale) -> list[Row]:
 
 @dataclass(frozen=True)
 class Module:
-    """A file of the source: its syntax tree, and the numbers of its lines that hold code and docstrings."""
+    """A file of the source.
+
+    Attributes
+    ----------
+    tree : Module
+        Its syntax tree.
+    code, documented : frozenset of int
+        Numbers of its lines that hold code, and docstrings.
+    """
 
     tree: ast.Module
     code: frozenset[int]
@@ -95,7 +103,13 @@ class Module:
 
 @dataclass(frozen=True)
 class Source:
-    """All files of a package, by path without ending, ``mesh/raster`` for instance."""
+    """All files of a package.
+
+    Attributes
+    ----------
+    files : mapping
+        By path without ending, ``mesh/raster`` for instance.
+    """
 
     files: Mapping[str, Module]
 

@@ -48,7 +48,7 @@ class Deformation:
     displacement: Callable[[Array], Array]
 
     def gradient(self, points: Array) -> Array:
-        """du_i/dx_j at points (n, 2), (n, 2, 2)."""
+        """Displacement gradient du_i/dx_j at points (n, 2), (n, 2, 2)."""
         columns = []
         for axis in range(2):
             step = np.zeros(2)

@@ -66,7 +66,17 @@ class Scene:
 
 @dataclass(frozen=True)
 class Pair:
-    """The images of one camera and where it looks; noise: given standard deviation of a picture, None if estimated."""
+    """The images of one camera and where it looks.
+
+    Attributes
+    ----------
+    reference, deformed : Path
+        Its pictures.
+    mapping : CameraMapping
+        From the specimen to its pixels.
+    noise : float, optional
+        Given standard deviation of a picture, grey levels; None if it is estimated.
+    """
 
     reference: Path
     deformed: Path
@@ -83,8 +93,14 @@ class Pair:
 class Alone:
     """What one camera measures by itself on its elements.
 
-    nodes: (n,) numbers in the joint mesh; seen: displacement as if its set-up had not moved, (n, 2) far px.
-    residual_std: grey levels.
+    Attributes
+    ----------
+    nodes : (n,) array
+        Numbers in the joint mesh.
+    seen : (n, 2) array
+        Displacement as if its set-up had not moved, far px.
+    residual_std : float
+        Grey levels.
     """
 
     nodes: NDArray[np.int64]
@@ -96,7 +112,18 @@ class Alone:
 class Fields:
     """A field that may jump between cameras: nodes and displacement of each, and what each of them measured.
 
-    cells: (n_cells,) number of the camera; nodes[c]: (n_c,) numbers in ``mesh``; u[c]: (n_c, 2) far px.
+    Attributes
+    ----------
+    mesh : Mesh
+        Of both.
+    cells : (n_cells,) array
+        Number of the camera.
+    nodes : list of (n_c,) arrays
+        Numbers in ``mesh`` of each camera's.
+    u : list of (n_c, 2) arrays
+        Their displacements, far px.
+    alpha : (n_alpha,) array
+        Motion of the near set-up.
     """
 
     mesh: Mesh
