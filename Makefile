@@ -42,7 +42,7 @@ test: setup ## run the tests: on one process a core, then on 2, 3 and 4 ranks
 	@bash scripts/run_tests.sh
 
 test-programs: setup ## run the tests that start whole programs: jobs under mpirun, examples, scripts
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m pytest -n auto -m program
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m pytest -n auto --dist loadgroup -m program
 
 test-slurm: setup ## run the Slurm tests on a Slurm of this machine; needs slurm-wlm, munge and libpmix-dev, and root
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; DDIC_TEST_SLURM=1 $(PYTHON) -m pytest tests/cluster/test_slurm.py

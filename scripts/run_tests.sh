@@ -49,7 +49,8 @@ run_alone() { # pytest arguments
     local start=$SECONDS code=0 marked="not parallel or parallel[1]"
     if ((whole)); then marked="($marked) and not program"; fi
     printf '\n== serial tests, and parallel ones on 1 rank\n'
-    "${PYTEST[@]}" -n auto -m "$marked" "$@" || code=$?
+    # A file in one process: what its tests share is made once.
+    "${PYTEST[@]}" -n auto --dist loadfile -m "$marked" "$@" || code=$?
     record "1 rank" "$code" "$((SECONDS - start))"
 }
 
