@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import ddic
-from accept.support.clipped_texts import find_clipped_texts
+from accept.report_page import find_clipped_texts
 from accept.table import Scale
 from bench.support import runs
 from bench.support.rows import Row
@@ -43,18 +43,7 @@ SLIP = 1.5
 
 
 def measure_pictures(scale: Scale) -> list[Row]:
-    """Draw all pictures of five cases.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run leaves out the near-field case, which takes longest.
-
-    Returns
-    -------
-    list of Row
-        Clipped texts, folded cells, formats.
-    """
+    """Draw all pictures of five cases."""
     folder = scale.folder("impressions") / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
     cases = {"plate": _measure_plate(folder), "turned strip in mm": _measure_strip(folder),

@@ -33,13 +33,7 @@ STDOUT, STDERR = "stdout", "stderr"
 
 
 def serve(requests: int, answers: int) -> None:
-    """Run commands until no request comes.
-
-    Parameters
-    ----------
-    requests, answers : int
-        File descriptors.
-    """
+    """Run commands until no request comes."""
     # Who asks may be killed, and this process hang: neither would end the other.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     for name in ("check", "crack", "info", "plot", "probe", "report", "run", "sweep"):

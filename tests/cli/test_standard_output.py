@@ -44,6 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+@pytest.mark.program
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_a_pipe_that_nobody_reads_ends_a_command_without_a_trace(folder: Path, command: str) -> None:
     reading, writing = os.pipe()
@@ -57,6 +58,7 @@ def test_a_pipe_that_nobody_reads_ends_a_command_without_a_trace(folder: Path, c
     assert done.stderr.splitlines() == ([said] if command == "run" else [])
 
 
+@pytest.mark.program
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_closed_streams_change_nothing_but_what_is_seen(folder: Path, command: str) -> None:
     done = subprocess.run([*CLOSED, sys.executable, "-m", "ddic", command, str(folder / "case.toml")], check=False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import stat
 from collections.abc import Callable
 from itertools import pairwise
@@ -12,7 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 from PIL import Image
 
-from accept.support.clipped_texts import find_clipped_texts
+from accept.report_page import find_clipped_texts
 from ddic.cli.crack import crack, opening
 from ddic.cli.info import info
 from ddic.cli.plot import plot
@@ -27,9 +28,14 @@ from support.series_files import STRAIN, FrameFile, write_series_file
 FRAMES = [FrameFile(0.5), FrameFile(1.0, 0), FrameFile(2.0, 3), FrameFile(3.0)]
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_series_file(tmp_path_factory.mktemp("series") / "s.vtkhdf", FRAMES, residual=True)
+
+
 @pytest.fixture
-def series(tmp_path: Path) -> Path:
-    return write_series_file(tmp_path / "s.vtkhdf", FRAMES, residual=True)
+def series(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(written, tmp_path))
 
 
 def run(command: object, *words: object) -> Result:

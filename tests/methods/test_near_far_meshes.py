@@ -68,7 +68,7 @@ def write(folder: Path, more: str = "", near: str = "", name: str = "case") -> P
     return folder / f"{name}.toml"
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(("more", "near"), [
     ("", ""), ("[regularization]\ncut_off_wavelength = 40\n", ""), ("", 'use_far = true\nmotion = "rigid"\n')])
 def test_an_affine_field_is_measured(shared_path: Path, more: str, near: str) -> None:
@@ -96,7 +96,7 @@ def test_an_affine_field_is_measured(shared_path: Path, more: str, near: str) ->
     team.on_root(check)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("method", ["dual", "assembled"])
 def test_the_far_mesh_as_near_mesh_gives_the_same(shared_path: Path, method: str) -> None:
     """Elements of 8 px in both: one to one, hence today's system in another order of nodes."""
@@ -119,7 +119,7 @@ def test_the_far_mesh_as_near_mesh_gives_the_same(shared_path: Path, method: str
     team.on_root(check)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_the_result_starts_another_run(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
     more = f"{TIGHT}[solver]\nsubdomains = 5\ntolerance = 1e-12\ninexact = false\n"

@@ -131,7 +131,7 @@ def test_the_dual_method_is_split_as_is_fastest(tmp_path: Path, monkeypatch: pyt
     assert (chosen.method, chosen.subdomains, chosen.preconditioner) == ("dual", 10, "two_level")
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("more", ["", LONG], ids=["alone", "regularized"])
 def test_the_field_is_that_of_a_stated_method(shared_path: Path, more: str) -> None:
     team = Team.world()
@@ -146,7 +146,7 @@ def test_the_field_is_that_of_a_stated_method(shared_path: Path, more: str) -> N
     assert largest_difference(*fields) <= 1e-4
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_result_and_summary_say_what_was_asked_and_what_was_used(shared_path: Path) -> None:
     team = Team.world()
     if team.is_root:
@@ -163,7 +163,7 @@ def test_result_and_summary_say_what_was_asked_and_what_was_used(shared_path: Pa
     assert sum(line.startswith('solver.method = "auto" takes dual') for line in summary["notes"]) == 1
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_conjugate_gradients_that_take_too_long_give_way_to_a_factor(shared_path: Path,
                                                                      monkeypatch: pytest.MonkeyPatch) -> None:
     """Two iterations are never enough; they are chosen because factors are said to take an hour."""

@@ -159,7 +159,7 @@ def test_forces_do_not_depend_on_where_operators_were_assembled() -> None:
     np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 def test_subdomains_add_up_to_the_whole() -> None:
     team = Team.world()
     everything = cut(MESH, (3, 3))

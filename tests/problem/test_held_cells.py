@@ -155,7 +155,7 @@ def test_nothing_pulls_where_nothing_is_held_off() -> None:
     assert pull_held_cells(model, Exclusions.nothing(model.views), at_rest).pulled is None
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_subdomains_pull_together_as_the_whole_does() -> None:
     team, u_seen, q = Team.world(), displace(MESH), displace(MESH, 1)
     whole = build()

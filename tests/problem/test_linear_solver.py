@@ -26,7 +26,7 @@ from support.cases import write_case, write_images
 from support.petsc_objects import count_live_objects
 from support.prepared import assemble_alike, prepare
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 REGULARIZED = "[regularization]\ncut_off_wavelength = 64.0\n"
 METHODS = ["dual", "assembled", "conjugate_gradient"]
 Array = NDArray[np.float64]
@@ -148,7 +148,7 @@ def test_a_solver_that_cannot_be_made_leaves_nothing(shared_path: Path) -> None:
     assert count_live_objects(team, shared_path) == before
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(("n_subdomains", "wavelength", "is_two_level"), [
     # 8 subdomains of 144 x 144 px have sides of 51 px or more.
     (MANY_SUBDOMAINS, 400.0, True), (MANY_SUBDOMAINS, 100.0, False), (MANY_SUBDOMAINS - 1, 2000.0, False),

@@ -26,7 +26,7 @@ from support.near_far_cases import case_text as near_far_text
 from support.near_far_cases import near_section, write_pairs
 from support.pictures import square_mesh
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 REGULARIZED = '[regularization]\ncut_off_wavelength = 48.0\nnot_controlled = ["left"]\n'
 
 

@@ -14,7 +14,7 @@ from ddic.problem.region_rotation import HeldRotation, RigidMotion, fit_rigid_mo
 from support.cases import write_case, write_images
 from support.prepared import assemble_alike, prepare
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 FREE = "[regularization]\ncut_off_wavelength = 48.0\nnot_controlled = []\n[solver]\nsubdomains = 4\n"
 
 

@@ -20,7 +20,7 @@ from support.near_far_cases import case_text as near_far_text
 from support.near_far_cases import near_section, write_pairs
 from support.prepared import prepare
 
-RANKS = [1, 2, 3]
+RANKS = [1, 3]
 
 
 def _one_camera(team: Team, folder: Path, more: str = "") -> Path:

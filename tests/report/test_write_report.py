@@ -14,9 +14,14 @@ import pytest
 from click.testing import CliRunner
 
 import ddic
-from accept.report_page import LEAST_LIKENESS, find_smallest_type
-from accept.support.browser import find_browser, probe_page, show_page
-from accept.support.clipped_texts import find_clipped_texts
+from accept.report_page import (
+    LEAST_LIKENESS,
+    find_browser,
+    find_clipped_texts,
+    find_smallest_type,
+    probe_page,
+    show_page,
+)
 from ddic.case.schema import AcquisitionSection
 from ddic.cli.info import report
 from ddic.errors import ConvergenceError

@@ -22,7 +22,7 @@ from support.linear import Decomposed, StepProblem, linear_step, split
 from support.petsc_objects import count_live_objects
 from support.textureless import corner, without_texture
 
-RANKS = [1, 2, 3]
+RANKS = [1, 3]
 
 
 def _cut(problem: StepProblem) -> Decomposed:

@@ -25,7 +25,7 @@ from ddic.start.multilevel import Pyramid, find_multilevel_start
 from support.cases import WAVES, write_case, write_images
 from support.pictures import rms_error, source, square_mesh
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 
 
 @dataclass(frozen=True)

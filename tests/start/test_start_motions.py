@@ -17,7 +17,7 @@ from ddic.partition.subdomain import Interface, Subdomain
 from ddic.start.frame_start import start_motions
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step
 
-RANKS = [1, 2, 4]
+RANKS = [1, 3]
 MOTIONS = pytest.mark.parametrize("motion", ["translation", "rigid"])
 
 

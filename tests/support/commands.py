@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from accept.support.launcher_lines import drop_launcher_lines
+from accept.support.ended_job import drop_launcher_lines
 
 LIMIT = 60.0
 """Seconds after which a job counts as hanging; it takes two or three."""

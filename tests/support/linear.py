@@ -31,6 +31,7 @@ from ddic.solvers.exchange import Exchange
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from support.oracles import make_on_root
 from support.pictures import source
 
 CELL = 8.0
@@ -120,7 +121,11 @@ def split(mesh: Mesh, kind: str, n_subdomains: int) -> NDArray[np.int64]:
 
 
 def one_domain_solution(problem: StepProblem, parts: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:
-    """dq of the monolithic step; "paper" weights the interface rows of Kbar by 1/sqrt(m)."""
+    """dq of the monolithic step; "paper" weights the interface rows of Kbar by 1/sqrt(m); collective."""
+    return make_on_root(lambda: _solve_one_domain(problem, parts, weighting))
+
+
+def _solve_one_domain(problem: StepProblem, parts: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:
     whole = build_subdomains(problem.region, np.zeros(problem.mesh.n_cells, np.int64), problem.controlled)[0]
     m = share_unknowns(share_nodes(problem.mesh, parts), problem.region).multiplicity
     system = problem.system(whole, 1 / np.sqrt(m) if weighting == "paper" else np.ones(len(m)))

@@ -87,7 +87,7 @@ def test_cells_without_pixels_are_marked() -> None:
     assert found.doubtful[gone].all()
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_each_camera_has_its_noise_whoever_owns_its_cells() -> None:
     team = Team(MPI.COMM_WORLD)
     n = np.full(40, 256.0)

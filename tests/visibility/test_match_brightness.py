@@ -99,7 +99,7 @@ def test_a_reflection_costs_no_accuracy(height: float) -> None:
     assert errors[1] <= 1.3 * errors[0]
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 def test_the_light_is_the_same_on_any_number_of_ranks(shared_path: Path) -> None:
     team = Team.world()
     if team.is_root:

@@ -81,7 +81,7 @@ def find_around(*nodes: int) -> set[int]:
     return set(np.flatnonzero(distances < 17.0).tolist())
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("correction", ["none", "element"])
 def test_forces_are_those_of_all_pixels_at_slow_nodes_and_linear_elsewhere(correction: GreyCorrection) -> None:
     model = build(Team.world(), correction)
@@ -107,7 +107,7 @@ def test_forces_are_those_of_all_pixels_at_slow_nodes_and_linear_elsewhere(corre
     assert grey[0].n_pixels == pytest.approx(16 * 256, rel=0.05)
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_nodes_that_move_by_less_than_the_tolerance_rest_on_all_subdomains_alike() -> None:
     model = build(Team.world())
     slow = confine(model, {SLOW: 0.3, SLOW + 3: 0.5 * TOLERANCES.largest, SLOW - 3: 2.0 * TOLERANCES.largest})
@@ -144,7 +144,7 @@ def test_what_is_small_beside_its_noise_is_not_slow() -> None:
     assert set(np.flatnonzero(weighed.rows[0][::2])) == find_around(SLOW - 3)
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_where_they_have_many_pixels_all_are_visited() -> None:
     model = build(Team.world())
     # A node at a corner of the mesh brings 4 of 81 cells, one in the middle 16.
@@ -234,7 +234,7 @@ def test_the_noise_of_a_spline_s_slope() -> None:
     assert slopes == pytest.approx(2 * NOISE_OF_SLOPE[3] * 100.0, rel=0.03)
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_a_textured_node_has_the_deviation_that_its_diagonal_says() -> None:
     noise = 8.0
     alone = build(Team.alone(), blocks=(1, 1))

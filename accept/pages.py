@@ -1,9 +1,13 @@
-"""README, tour, every example and every page of the documents, done word by word in another folder, as root and not."""
+"""The pages: where is Eq. n, do they build, and does README, tour, every example and page do what it says.
+
+Pages are followed word by word in another folder, as root and not.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +18,57 @@ from accept.support.follow_page import LIMIT_S, Followed
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import ROOT, NotHereError, environment
+
+PRINTED = 400
+"""Characters of a tool's last words that a row shows."""
+
+
+def measure_equations(scale: Scale) -> list[Row]:
+    """Run the test that opens the function of every numbered equation of [BP17]."""
+    del scale
+    code, printed = _run("pytest", "-q", "-p", "no:cacheprovider", "tests/test_equations.py")
+    counts = re.findall(r"\d+ (?:passed|failed|error)[^\n]*", printed)
+    return [Row("docs/symbols.md: numbered equations of [BP17], the function of each opened by tests/test_equations.py",
+                "every equation has a row; every function says that it is it",
+                counts[-1] if counts else printed[-PRINTED:], code == 0)]
+
+
+def measure_docs(scale: Scale) -> list[Row]:
+    """Build the documents, check public docstrings, and run every example for its number."""
+    rows = [_docstrings(), _build()]
+    return rows if scale.smoke else [*rows, _examples()]
+
+
+def _build() -> Row:
+    code, printed = _run("mkdocs", "build", "--strict", "--quiet", "--site-dir", str(ROOT / "bench" / "data" / "site"))
+    if "No module named mkdocs" in printed:
+        raise NotHereError("mkdocs is not installed; make docs installs it")
+    n_warnings = len(re.findall(r"^(?:WARNING|ERROR)", printed, re.MULTILINE))
+    return Row("make docs", "builds without a warning", f"{n_warnings} warnings, exit code {code}"
+               + (f": {printed[-PRINTED:]}" if code else ""), code == 0 and n_warnings == 0)
+
+
+def _docstrings() -> Row:
+    command = [sys.executable, "scripts/check_docstrings.py", "src/ddic"]
+    done = subprocess.run(command, cwd=ROOT, text=True, capture_output=True, env=environment(), check=False)
+    lines = (done.stdout + done.stderr).strip().splitlines()
+    return Row("public names of src/ddic: shapes and units in docstrings (scripts/check_docstrings.py)",
+               "nothing is missing", lines[-1][-PRINTED:] if lines else "nothing", done.returncode == 0)
+
+
+def _examples() -> Row:
+    code, printed = _run("pytest", "-q", "-p", "no:cacheprovider", "tests/test_examples.py")
+    counts = re.findall(r"\d+ (?:passed|failed|error)[^\n]*", printed)
+    return Row("examples/: every printed number", "as its page shows", counts[-1] if counts else printed[-PRINTED:],
+               code == 0)
+
+
+def _run(module: str, *arguments: str) -> tuple[int, str]:
+    """Exit code and output of a Python tool."""
+    done = subprocess.run([sys.executable, "-m", module, *arguments], cwd=ROOT, text=True, capture_output=True,
+                          env=environment(), check=False)
+    return done.returncode, done.stdout + done.stderr
+
 
 NOBODY = 65534
 """Number of the user and of the group that own nothing."""
@@ -26,18 +81,7 @@ _MOST_FAULTS = 10
 
 
 def measure_followed_pages(scale: Scale) -> list[Row]:
-    """Copy the repository, follow its pages there as root, and again as a user without rights.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run follows two pages as whoever it is, with the environment that is there.
-
-    Returns
-    -------
-    list of Row
-        One for each user.
-    """
+    """Copy the repository, follow its pages there as root, and again as a user without rights."""
     if scale.smoke:
         return [_measure("this user", SMALL, (), link=True)]
     pages = list_pages()
@@ -49,13 +93,7 @@ def measure_followed_pages(scale: Scale) -> list[Row]:
 
 
 def list_pages() -> list[str]:
-    """List the pages in the order in which they are followed: the README makes what others go on from.
-
-    Returns
-    -------
-    list of str
-        Names below the repository.
-    """
+    """List the pages in the order in which they are followed: the README makes what others go on from."""
     examples = ROOT / "examples"
     listed = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted(examples.glob("*/README.md")),
               *sorted(examples.glob("*.py")), ROOT / "CONTRIBUTING.md"]

@@ -1,14 +1,8 @@
-"""Right numbers: wherever the specimen is, whatever lies under a mask, up to the image's edge, in every image form.
-
-Rates on the paper's beam too, and how long all tables take on tiny cases.
-
-Usage: python -m accept.right [--smoke] [CHECK ...]: all checks, or the named ones; exit code 1 where a bound is missed.
-"""
+"""Right numbers whatever lies under a mask, at every cut-off wavelength and up to the image's edge."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,13 +13,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import ddic
-from accept.beam import measure_beam_kernels
-from accept.image_forms import measure_image_forms
-from accept.linear_step import measure_two_levels
-from accept.moved_specimen import measure_disturbed, measure_moved
-from accept.smoke import measure_smoke
 from accept.support.settings import MONOLITHIC, describe_settings
-from accept.table import Check, Scale, run_table
+from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import ddic_run, images
 from ddic.functionals.correlation import read_correlation
@@ -58,18 +47,7 @@ EDGE_PX = 0.02
 
 
 def measure_masks(scale: Scale) -> list[Row]:
-    """Put garbage, zeros and saturation under masks of f and g, without regularization.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a smaller image.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Put garbage, zeros and saturation under masks of f and g, without regularization."""
     side = 200 if scale.smoke else 512
     reference, deformed = ddic.make_synthetic_pair(_wave, (side, side), noise=1.0, seed=5)
     masks = np.ones((2, side, side), dtype=bool)
@@ -109,18 +87,7 @@ def _spoil(image: Image, mask: NDArray[np.bool_], garbage: Image | int | None) -
 
 
 def measure_half_amplitudes(scale: Scale) -> list[Row]:
-    """Find the waves of which one linear step keeps half, beside those that are printed.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one wavelength on a small region.
-
-    Returns
-    -------
-    list of Row
-        One for each cut-off wavelength.
-    """
+    """Find the waves of which one linear step keeps half, beside those that are printed."""
     side, wavelengths = (300, (40.0,)) if scale.smoke else (1400, (60.0, 100.0, 160.0))
     return [_compare_half_amplitudes(side, wavelength) for wavelength in wavelengths]
 
@@ -166,18 +133,7 @@ def _halve(keep: Callable[[tuple[int, ...], float], float], columns: tuple[int, 
 
 
 def measure_edges(scale: Scale) -> list[Row]:
-    """Measure regions as large as the image, of sizes that no block divides, by the command line.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small image.
-
-    Returns
-    -------
-    list of Row
-        One for each size.
-    """
+    """Measure regions as large as the image, of sizes that no block divides, by the command line."""
     rows = []
     for width, height in ((201, 203),) if scale.smoke else ((871, 2050), (1001, 1001)):
         folder = images("sinusoidal", "--size", f"{width}x{height}", "--noise", "1",
@@ -193,25 +149,3 @@ def measure_edges(scale: Scale) -> list[Row]:
                         '"conjugate_gradient": RMS error',
                         f"measured; <= {EDGE_PX} px", f"{rms:.4f} px", rms <= EDGE_PX))
     return rows
-
-
-CHECKS: dict[str, Check] = {
-    "moved": measure_moved,
-    "disturbed": measure_disturbed,
-    "masks": measure_masks,
-    "half_amplitudes": measure_half_amplitudes,
-    "edges": measure_edges,
-    "beam_kernels": measure_beam_kernels,
-    "image_forms": measure_image_forms,
-    "two_levels": measure_two_levels,
-    "smoke": measure_smoke,
-}
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure the table; 1 where a bound is missed."""
-    return run_table("right", CHECKS, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
