@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_start import take_closed_pipes_as_errors
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.failures import failures_as_lines, take_closed_pipes_as_errors, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,17 +32,16 @@ def check(case_file: Path, drawing: Path | None) -> None:
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.check.case import check_case_file
-    from ddic.check.output import list_inputs
 
     take_closed_pipes_as_errors()
-    with errors_as_lines(drawing), warnings_as_lines():
+    with failures_as_lines(drawing), warnings_as_lines():
         if drawing is not None:
             _check_drawing(drawing)
             require_own_output(drawing, PICTURE, (case_file,))
         report = check_case_file(case_file)
         if drawing is not None:
             loaded = load_case(case_file)
-            require_own_output(drawing, PICTURE, list_inputs(loaded))
+            require_own_output(drawing, PICTURE, loaded.list_inputs())
             _draw(loaded.case, drawing)
     for name, value in _lines(report):
         click.echo(f"{name:<20}{value}")
@@ -76,14 +74,14 @@ def _draw(case: Case, drawing: Path) -> None:
 def _build_mesh(case: Case, width: int, height: int) -> Mesh:
     """The mesh of a case; that of the result with [pgd], whose elements may be single pixels."""
     from ddic.inputs.mesh_source import build_meshes
-    from ddic.inputs.rectangle import choose_output_lines, find_rectangle_of_case
+    from ddic.inputs.rectangle import build_rectangle, choose_output_lines
     from ddic.mesh.cell_type import Q4
     from ddic.mesh.mesh import build_mesh
     from ddic.mesh.structured import GridLines
 
     if case.pgd is None:
         return build_meshes(case, width, height)[0]
-    grid = GridLines(*choose_output_lines(case, find_rectangle_of_case(case)))
+    grid = GridLines(*choose_output_lines(case, build_rectangle(case)))
     return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
 
 

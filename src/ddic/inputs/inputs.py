@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import choose_frame, list_cameras, list_deformed
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import choose_frame, list_cameras, list_deformed
 from ddic.case.schema import Case
 from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
 from ddic.inputs.mesh_source import build_meshes
-from ddic.inputs.rectangle import Rectangle, find_rectangle_of_case
+from ddic.inputs.rectangle import Rectangle, build_rectangle
 from ddic.io.input_file import FileStamps
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
@@ -99,7 +99,7 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.width, image.height),
                     case_path=loaded.path, case_text=loaded.text,
-                    rectangle=None if case.pgd is None else find_rectangle_of_case(case),
+                    rectangle=None if case.pgd is None else build_rectangle(case),
                     n_frames=len(list_deformed(case.images)))
     return inputs, open_frame(case, opener, number)
 
@@ -235,34 +235,3 @@ class UpdatedReference:
         Their unknowns have to be displacements of nodes.
         """
         return [self.displacement[subdomain.node_ids].ravel() for subdomain in subdomains]
-
-
-class Problems:
-    """Lines gathered from several checks, so that one failure does not hide the next.
-
-    Attributes
-    ----------
-    lines : list of str
-        One problem each.
-    """
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    @contextmanager
-    def gathered(self, source: Path | None = None) -> Iterator[None]:
-        """Keep the lines of an InputError that is raised inside; ``source`` is a file to name before each line."""
-        try:
-            yield
-        except InputError as error:
-            self.add(error, source)
-
-    def add(self, error: InputError, source: Path | None = None) -> None:
-        """Keep the lines of an error of one check; ``source`` is a file to name before each line."""
-        prefix = "" if source is None else f"{source}: "
-        self.lines += [prefix + line for line in error.problems]
-
-    def require_none(self) -> None:
-        """Raise all of them as one InputError, where there are any."""
-        if self.lines:
-            raise InputError(self.lines)

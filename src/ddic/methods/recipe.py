@@ -18,7 +18,7 @@ from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import Publishable
 from ddic.solvers.probing import estimate_response
-from ddic.visibility.force_noise import measure_force_noise
+from ddic.visibility.noise_forces import measure_force_noise
 
 if TYPE_CHECKING:
     from ddic.methods.pgd_dic import SeparatedSession

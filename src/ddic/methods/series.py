@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 
-from ddic.case.frame_files import list_deformed
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import list_deformed
 from ddic.errors import ConvergenceError, StoppedError, as_collective
 from ddic.io.series_folder import BackgroundWriter, ReadAhead, SeriesFolder
 from ddic.methods.reference_session import ReferenceSession

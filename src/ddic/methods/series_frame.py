@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_times
+from ddic.case.named_files import list_times
 from ddic.errors import ConvergenceError, DdicError, SingularSubdomainError, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import inputs_kept
@@ -42,14 +42,14 @@ class KnownFrameStart:
     ----------
     name : str
         For the log.
-    q : list of (n_unknowns,) array
+    q : sequence of (n_unknowns,) array
         Unknowns of owned subdomains since the first reference image.
     least_shown : float
         Share of the cells that it must show.
     """
 
     name: str
-    q: list[NDArray[np.float64]]
+    q: Sequence[NDArray[np.float64]]
     least_shown: float
 
 

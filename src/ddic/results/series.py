@@ -162,7 +162,7 @@ class MeasuredState:
     ----------
     time : float
         Of the earlier frame, unit chosen by the user.
-    q : list of (n_unknowns,) array
+    q : sequence of (n_unknowns,) array
         Unknowns of owned subdomains since the first reference image.
     shown_share : float
         Share of the cells that were seen where the field put them.
@@ -171,7 +171,7 @@ class MeasuredState:
     """
 
     time: float
-    q: list[Array]
+    q: Sequence[Array]
     shown_share: float
     holds_back: bool
 

@@ -9,8 +9,8 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ddic.case.frame_files import list_cameras, list_deformed, list_times
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import list_cameras, list_deformed, list_times
 from ddic.inputs.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.io.join_frames import join_frames
 from ddic.io.replace_on_exit import replaced_together
