@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from accept.support.clipped_texts import find_clipped_texts
+from accept.report_page import find_clipped_texts
 from ddic.cli.plot import plot
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA, FAILURE, STATUS

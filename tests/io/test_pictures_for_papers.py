@@ -13,7 +13,7 @@ import tifffile
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from accept.support.clipped_texts import find_clipped_texts
+from accept.report_page import find_clipped_texts
 from ddic.cli.check import check
 from ddic.cli.plot import plot
 from ddic.io.image_file import open_image
