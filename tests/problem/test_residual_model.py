@@ -156,6 +156,7 @@ class _Counted:
 
     def __init__(self, image: ImageSource) -> None:
         self._image, self.n_reads = image, 0
+        self.extent = image.extent
         self.path, self.width, self.height, self.saturation = image.path, image.width, image.height, image.saturation
 
     def read(self, window: Window) -> NDArray[Any]:
