@@ -22,7 +22,7 @@ from mpi4py import MPI
 from ddic.case.loader import load_case
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, open_inputs
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.views import open_frame_views
@@ -45,7 +45,7 @@ def measure_resident() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * PAGE
 
 
-def find_losing(inputs: Inputs, frame: Frame, session: Session, measurement: Measurement) -> list[int]:
+def find_losing(inputs: Inputs, frame: Frame, session: DecomposedSession, measurement: Measurement) -> list[int]:
     """Find the owned subdomains some of whose pixels a frame does not show.
 
     Parameters
@@ -54,7 +54,7 @@ def find_losing(inputs: Inputs, frame: Frame, session: Session, measurement: Mea
         Settings.
     frame : Frame
         The deformed images.
-    session : Session
+    session : DecomposedSession
         With the reference's pixels.
     measurement : Measurement
         Of the frame.
@@ -87,7 +87,7 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
     begin = time.perf_counter()
     inputs, _ = open_inputs(team, loaded)
     last: Measurement | None = None
-    with Session(team, inputs, Silence(), PhaseClock()) as session:
+    with DecomposedSession(team, inputs, Silence(), PhaseClock()) as session:
         preparation = time.perf_counter() - begin
         for number, deformed in enumerate(task["deformed"], start=1):
             section = loaded.case.images.model_copy(update={"deformed": Path(deformed)})
@@ -110,14 +110,14 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
                 print(json.dumps(record), flush=True)
 
 
-def describe(team: Team, session: Session, before: list[Any]) -> dict[str, Any]:
+def describe(team: Team, session: DecomposedSession, before: list[Any]) -> dict[str, Any]:
     """Say what a session has done so far, summed over ranks; collective.
 
     Parameters
     ----------
     team : Team
         Ranks.
-    session : Session
+    session : DecomposedSession
         After a frame.
     before : list
         Systems of owned subdomains before it.

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ddic.case.loader import load_case, parse_case
-from ddic.check.case import check_inputs, check_ranks
+from ddic.check.case import check_case, check_ranks
 from ddic.errors import InputError
 from support.cases import REGION, case_text, write_case, write_images
 
@@ -53,7 +53,7 @@ def test_rectangle_is_checked(tmp_path: Path, region: str, more: str, words: str
     write_images(tmp_path)
     loaded = load_case(write_case(tmp_path, f"[pgd]\n{more}", region=region))
     with pytest.raises(InputError) as caught:
-        check_inputs(loaded)
+        check_case(loaded)
     (line,) = caught.value.problems
     assert words in line
     assert line.startswith(f"{loaded.path}: ")
@@ -64,10 +64,10 @@ def test_small_elements_and_mesh_files_are_refused(tmp_path: Path) -> None:
     path = write_case(tmp_path, "[pgd]\n")
     path.write_text(path.read_text().replace("element_size = 16", "element_size = 0.5"))
     with pytest.raises(InputError, match=r"element_size = 0.5: smaller than a pixel; give 1 or more"):
-        check_inputs(load_case(path))
+        check_case(load_case(path))
     path.write_text('[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh]\nfile = "a.msh"\n[pgd]\n')
     with pytest.raises(InputError, match=r"mesh.file: \[pgd\] measures on a rectangle"):
-        check_inputs(load_case(path))
+        check_case(load_case(path))
 
 
 def test_more_ranks_than_bands_are_refused(tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_report_counts_what_is_not_listed(tmp_path: Path) -> None:
     write_images(tmp_path)
     path = write_case(tmp_path, '[pgd]\n[regularization]\ncut_off_wavelength = 64\nnot_controlled = ["left"]\n')
     path.write_text(path.read_text().replace("element_size = 16", "element_size = 1"))
-    report = check_inputs(load_case(path))
+    report = check_case(load_case(path))
     assert (report.n_nodes, report.n_cells, report.n_dofs) == (145**2, 144**2, 2 * 145**2)
     assert report.n_controlled_dofs == 2 * 144 * 145
     assert (report.pixels_min, report.pixels_mean) == (1, 1.0)

@@ -10,7 +10,7 @@ import tifffile
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
-from ddic.check.case import check_inputs
+from ddic.check.case import check_case
 from ddic.errors import InputError
 from ddic.inputs.cameras import assign_cells, open_cameras, open_in_headers
 from ddic.inputs.inputs import Inputs
@@ -142,7 +142,7 @@ def test_the_result_starts_another_run(shared_path: Path) -> None:
 def test_wrong_near_meshes_are_refused(tmp_path: Path, near: str, message: str) -> None:
     path = write(tmp_path, near=near)
     with pytest.raises(InputError, match=message):
-        check_inputs(load_case(path))
+        check_case(load_case(path))
 
 
 def test_near_fields_with_and_without_a_mesh(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_a_coarse_near_mesh_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_report_counts_unknowns(tmp_path: Path) -> None:
-    report = check_inputs(load_case(write(tmp_path, "[regularization]\ncut_off_wavelength = 40\n",
+    report = check_case(load_case(write(tmp_path, "[regularization]\ncut_off_wavelength = 40\n",
                                           NEAR_MESH.format(size=3.4))))
     n_unknown_nodes = 14 * 12 - 4 * 3 + 11 * 8
     assert report.n_dofs == 2 * n_unknown_nodes

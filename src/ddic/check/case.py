@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
+from ddic.case.methods import import_method
 from ddic.case.schema import Case
 from ddic.check.images import check_decodable, check_images, check_texture
 from ddic.check.mesh import CheckedMesh, check_mesh_uses, check_most_ranks
@@ -23,7 +24,6 @@ from ddic.images.source import ImageSource
 from ddic.inputs.cameras import assign_cells, collect_cells, open_cameras, open_in_headers
 from ddic.inputs.inputs import Problems
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
-from ddic.inputs.rectangle import check_number_of_ranks
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.damaged_result import require_known_displacement
 from ddic.io.input_file import FileStamps
@@ -38,14 +38,15 @@ PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
 
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
+    """Refuse, with an InputError, a number of ranks on which the case's method cannot measure it."""
+    import_method(loaded.case).check_ranks(loaded, n_ranks)
+
+
+def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
     """Refuse more ranks than a case has subdomains, and solvers that PETSc has not on so many.
 
-    Raises InputError where a rank would have no subdomain, or no rows of the images, or PETSc lacks what the solver
-    needs.
+    Raises InputError where a rank would have no subdomain, or PETSc lacks what the solver needs.
     """
-    if loaded.case.pgd is not None:
-        check_number_of_ranks(n_ranks)
-        return
     solver = loaded.case.solver
     require_packages(str(loaded.path), solver.method, solver.local_inverse, n_ranks)
     if solver.method == "monolithic":
@@ -107,24 +108,16 @@ def _check(loaded: LoadedCase, of_keys: Sequence[str], n_ranks: int | None) -> C
     problems, report = Problems(), None
     problems.lines += of_keys
     with problems.gathered():
-        report = check_inputs(loaded)
+        report = check_case(loaded)
     with problems.gathered():
         # Who only checks is told of what would fail on any number of ranks.
         check_ranks(loaded, 1 if n_ranks is None else n_ranks)
     problems.require_none()
     if report is None:
         raise TypeError("inputs without problems have a report")
-    if n_ranks is not None and loaded.case.pgd is None:
+    if n_ranks is not None:
         check_most_ranks(loaded, report.most_ranks, n_ranks)
     return report
-
-
-def check_inputs(loaded: LoadedCase) -> CheckReport:
-    """Validate a case. Raises InputError with the problems of all inputs, one line each."""
-    case = loaded.case
-    if not case.near:
-        return check_case(loaded)
-    return check_case(loaded, partial(_count_pixels_by_camera, case))
 
 
 def _count_pixels_by_camera(case: Case, mesh: Mesh, tying: Tying | None) -> NDArray[np.int64]:
@@ -140,11 +133,10 @@ def _count_pixels_by_camera(case: Case, mesh: Mesh, tying: Tying | None) -> NDAr
     return counts
 
 
-def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> CheckReport:
-    """Read and validate the images, masks, mesh, node sets, partition, start and output of a case.
+def check_case(loaded: LoadedCase) -> CheckReport:
+    """Read and validate the images, masks, start and output of a case, and what its method asks for.
 
-    Pixels of cells are those in the first camera's images where ``count_pixels`` is None. Raises InputError with the
-    problems of all inputs, one line each.
+    Raises InputError with the problems of all inputs, one line each.
     """
     case = loaded.case
     problems = Problems()
@@ -159,13 +151,19 @@ def check_case(loaded: LoadedCase, count_pixels: PixelCounter | None = None) -> 
         if case.start.from_result is not None:
             require_known_displacement(read_frame_or_last(case.start.from_result, case.start.frame, "start.frame =")[0])
     points = _check_start_points(loaded, reference, problems)
-    if case.pgd is not None:
-        if reference is None:
-            raise InputError(problems.lines)
-        from ddic.check.report import check_separated_case
+    report: CheckReport = import_method(case).check(loaded, reference, points, problems)
+    return report
 
-        return check_separated_case(loaded, reference, problems)
-    checked = _check_mesh(loaded, reference, count_pixels or _count_pixels, problems)
+
+def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
+                  problems: Problems) -> CheckReport:
+    """Read and validate the mesh, node sets, partition and texture of a case, after its images.
+
+    Raises InputError with the problems of all inputs, one line each, those that were found before among them.
+    """
+    case = loaded.case
+    count_pixels = partial(_count_pixels_by_camera, case) if case.near else _count_pixels
+    checked = _check_mesh(loaded, reference, count_pixels, problems)
     with problems.gathered(_case_of_points(loaded)):
         if points is not None:
             require_points_inside(points, checked.mesh)

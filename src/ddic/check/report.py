@@ -21,6 +21,7 @@ from ddic.inputs.rectangle import (
     choose_controlled_lines,
     find_rectangle_of_case,
 )
+from ddic.inputs.start_points import StartPoints
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
@@ -112,11 +113,14 @@ def _describe_discontinuities(case: Case, mesh: Mesh) -> str | None:
     return "1 line, to be found" if case.discontinuity else None
 
 
-def check_separated_case(loaded: LoadedCase, reference: ImageSource, problems: Problems) -> CheckReport:
-    """Check the rectangle of a case with [pgd] and what refers to it.
+def check_separated_case(loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
+                         problems: Problems) -> CheckReport:
+    """Check the rectangle of a case with [pgd] and what refers to it; whether it holds ``points`` is not asked.
 
     Raises InputError with the problems of all inputs, one line each, those that were found before among them.
     """
+    if reference is None:
+        raise InputError(problems.lines)
     rectangle: Rectangle | None = None
     with problems.gathered(loaded.path):
         rectangle = find_rectangle_of_case(loaded.case)

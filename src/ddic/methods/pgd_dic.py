@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Self
 
+from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case
+from ddic.check.report import check_separated_case
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
+from ddic.inputs.rectangle import check_number_of_ranks, choose_output_lines, find_rectangle_of_case
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.structured import Grid
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.problem.separated_problem import prepare_separated_problem
-from ddic.results.listener import Listener
+from ddic.results.listener import Listener, tell
 from ddic.results.measurement import last_field_kept
 from ddic.results.separated import SeparatedMeasurement, finish_separated
 from ddic.separated.corrections import CorrectionRecord, correct_displacement
@@ -21,19 +27,11 @@ from ddic.start.separated_start import KnownSeparatedStart, find_separated_start
 class SeparatedSession:
     """A prepared PGD-DIC measurement, for any number of frames; use it in a ``with`` statement as other sessions.
 
-    Raises InputError on all ranks.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks, each of which reads some bands of rows.
-    inputs : Inputs
-        Reference image, rectangle and settings.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
+    Each rank reads some bands of rows. Raises InputError on all ranks.
     """
+
+    # No operator of a mesh is assembled or factorised.
+    n_assembled = n_factorized = 0
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock) -> None:
         self._listener, self._clock = listener, clock
@@ -44,8 +42,7 @@ class SeparatedSession:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def measure(self, frame: Frame, start: KnownSeparatedStart | None = None) -> SeparatedMeasurement:
@@ -58,8 +55,7 @@ class SeparatedSession:
         problem = self._problem
         with self._clock.phase(Phase.START):
             begin, notes = find_separated_start(problem, self._search, frame, start)
-        for line in notes:
-            self._listener.note(line)
+        tell(self._listener, notes)
         self._listener.problem_size(problem.size)
         pixels = problem.open_frame(frame)
         with (last_field_kept(self._clock, lambda *found: finish_separated(problem, frame, pixels, notes, *found)),
@@ -70,6 +66,10 @@ class SeparatedSession:
         with self._clock.phase(Phase.FINISH):
             return finish_separated(problem, frame, pixels, notes, solution)
 
+    def estimate_noise_floor(self, measured: SeparatedMeasurement) -> float:
+        """Tell that it is not known, nan: it follows from linear steps on a mesh."""
+        return float("nan")
+
     def _report(self, record: CorrectionRecord) -> None:
         """Tell a correction, and end there where a signal asked for it."""
         self._listener.correction(record)
@@ -77,3 +77,26 @@ class SeparatedSession:
 
     def close(self) -> None:
         """Do nothing: there is no object of PETSc to free."""
+
+
+class SuccessiveProducts:
+    """A displacement that is a sum of products on a rectangle; a ``Method``."""
+
+    check = staticmethod(check_separated_case)
+
+    def check_ranks(self, loaded: LoadedCase, n_ranks: int) -> None:
+        """Refuse ranks that would have no band of rows."""
+        check_number_of_ranks(n_ranks)
+
+    def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
+        """Build the mesh of the result, since elements may be single pixels."""
+        grid = Grid(*choose_output_lines(case, find_rectangle_of_case(case)))
+        return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
+
+    def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
+                first_frame: Frame | None = None) -> SeparatedSession:
+        """Read the reference image and find the weight of the regularisation."""
+        return SeparatedSession(team, inputs, listener, clock)
+
+
+METHOD = SuccessiveProducts()

@@ -13,10 +13,16 @@ from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import Rectangle, choose_controlled_lines
+from ddic.inputs.rectangle import (
+    Rectangle,
+    check_rectangle,
+    choose_controlled_lines,
+    find_rectangle,
+    find_rectangle_of_case,
+)
 from ddic.parallel.distribution import TeamSums
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team, require_held
+from ddic.parallel.team import Team
 from ddic.problem.region_mesh import build_material
 from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
 from ddic.separated.band_sums import divide_rows
@@ -76,7 +82,7 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
 
     Pixels are spread over ranks. Raises InputError on all ranks.
     """
-    rectangle, case = require_held(inputs.rectangle), inputs.case
+    rectangle, case = team.together(lambda: _choose_rectangle(inputs)), inputs.case
     with clock.phase(Phase.READ):
         reference = read_reference_pixels(team, inputs, rectangle)
     with clock.phase(Phase.ASSEMBLE):
@@ -84,6 +90,16 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
         size = measure_separated_size(team, inputs, reference, regularization)
     return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, choose_scheme(case),
                             choose_rules(case))
+
+
+def _choose_rectangle(inputs: Inputs) -> Rectangle:
+    """What is measured; raises InputError where that is no rectangle inside the image."""
+    case, mesh, image = inputs.case, inputs.given_mesh, inputs.cameras[0].reference.image
+    if inputs.choose_kinematics is not None:
+        raise InputError("kinematics: [pgd] has products of functions for unknowns; leave one of them out")
+    rectangle = find_rectangle_of_case(case) if mesh is None else find_rectangle(mesh)
+    check_rectangle(case, rectangle, image.width, image.height)
+    return rectangle
 
 
 def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int, list[range]]:
@@ -148,8 +164,7 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
 def measure_separated_size(team: Team, inputs: Inputs, reference: ReferencePixels,
                            regularization: Regularization | None) -> ProblemSize:
     """Count what is about to be measured; collective. Unknowns are those of the Q4 elements between the same lines."""
-    rectangle = require_held(inputs.rectangle)
-    n_x, n_y = rectangle.along_x.n_nodes, rectangle.along_y.n_nodes
+    n_x, n_y = reference.along_x.n_nodes, reference.along_y.n_nodes
     own = [(float(np.nanmin(band.values)), float(np.nanmax(band.values))) for band in reference.bands
            if np.isfinite(band.values).any()]
     ranges = team.gather_lists(own)

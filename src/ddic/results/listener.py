@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol
 
 from ddic.parallel.phases import Phase
@@ -44,39 +45,17 @@ class Listener(Protocol):
         ...
 
 
-class Silence(Listener):
-    """Says nothing."""
+class Silence:
+    """A listener that says nothing."""
 
-    def phase(self, phase: Phase) -> None:
+    def note(self, *_: object, **__: object) -> None:
         """Ignore."""
 
-    def progress(self, share: float) -> None:
-        """Ignore."""
-
-    def note(self, line: str) -> None:
-        """Ignore."""
-
-    def frame(self, number: int, n_frames: int, image: str) -> None:
-        """Ignore."""
-
-    def problem_size(self, size: ProblemSize) -> None:
-        """Ignore."""
-
-    def iteration(self, record: IterationRecord) -> None:
-        """Ignore."""
-
-    def correction(self, record: CorrectionRecord) -> None:
-        """Ignore."""
+    phase = progress = frame = problem_size = iteration = correction = note
 
 
 class WithoutNotes(Listener):
-    """Tells another listener how a measurement goes on, but nothing of a field that is not the result.
-
-    Parameters
-    ----------
-    listener : Listener
-        The other one.
-    """
+    """Tells another listener how a measurement goes on, but nothing of a field that is not the result."""
 
     def __init__(self, listener: Listener) -> None:
         self._listener = listener
@@ -107,3 +86,9 @@ class WithoutNotes(Listener):
     def correction(self, record: CorrectionRecord) -> None:
         """Pass it on."""
         self._listener.correction(record)
+
+
+def tell(listener: Listener, notes: Iterable[str]) -> None:
+    """Tell a listener some notes, a line each."""
+    for line in notes:
+        listener.note(line)

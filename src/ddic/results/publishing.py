@@ -18,15 +18,18 @@ from datetime import UTC, datetime
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import mpi4py.MPI
 import numpy as np
 import petsc4py.PETSc
 from numpy.typing import NDArray
 
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.io import result_schema as schema
 from ddic.io.image_file import compute_sha256
 from ddic.io.input_file import find_source_commit
@@ -35,24 +38,15 @@ from ddic.io.result_reader import Result
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
+from ddic.problem.weighted_problem import ProblemSize
+from ddic.results.summary import Summary
 from ddic.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
 
 def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
-    """Collect the facts that let a reader repeat a measurement; on rank 0.
-
-    Parameters
-    ----------
-    origin : dict
-        What it was measured from.
-
-    Returns
-    -------
-    dict
-        Date, command, versions, then what was given.
-    """
+    """Collect the facts that let a reader repeat a measurement: date, command, versions, then ``origin``; on rank 0."""
     return {"date": datetime.now(UTC).isoformat(timespec="seconds"), "command": " ".join(sys.argv),
             **_collect_versions(), **origin}
 
@@ -79,20 +73,7 @@ def _compute_checksum(path: Path, size: int, changed: int) -> str:
 
 
 def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
-    """Describe an image by its path, size and checksum.
-
-    Parameters
-    ----------
-    name : str
-        What the image is.
-    image : ImageSource
-        From a file, or in memory.
-
-    Returns
-    -------
-    dict
-        NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory.
-    """
+    """Describe an image by NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory."""
     if image.path.is_file():
         status = image.path.stat()
         checksum = _compute_checksum(image.path, status.st_size, status.st_mtime_ns)
@@ -125,20 +106,7 @@ class PhaseTimes:
 
 
 def gather_phase_times(team: Team, clock: PhaseClock) -> PhaseTimes:
-    """Gather what the clocks of all ranks have so far; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    clock : PhaseClock
-        This rank's.
-
-    Returns
-    -------
-    PhaseTimes
-        The same on all ranks, of the phases that this rank has had.
-    """
+    """Gather what the clocks of all ranks have so far, of the phases that this rank has had; collective."""
     clocks = team.gather_lists([(clock.wall, clock.cpu, clock.busy)])
     seconds, cpu_seconds, imbalance = {}, {}, {}
     for phase in clock.wall:
@@ -157,8 +125,9 @@ def _imbalance(busy: list[float]) -> float:
 T = TypeVar("T")
 
 
+@runtime_checkable
 class Publishable(Protocol):
-    """What a measurement does to be read by others; every call is collective.
+    """What a method measured, and what it does to be read by others; every call is collective.
 
     A method without subdomains or a mesh writes what it has: images, tables, attributes.
     """
@@ -166,6 +135,41 @@ class Publishable(Protocol):
     @property
     def team(self) -> Team:
         """All ranks."""
+        ...
+
+    @property
+    def inputs(self) -> Inputs:
+        """Reference images and settings."""
+        ...
+
+    @property
+    def frame(self) -> Frame:
+        """The deformed images."""
+        ...
+
+    @property
+    def size(self) -> ProblemSize:
+        """Sizes and weights."""
+        ...
+
+    @property
+    def unknowns(self) -> Any:
+        """What the session that measured it may start another frame from."""
+        ...
+
+    @property
+    def grey_correction(self) -> GreyCorrection:
+        """What was corrected of grey levels."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know."""
+        ...
+
+    @property
+    def failure(self) -> str:
+        """Why it is no result; empty where it converged."""
         ...
 
     def write(self, writer: ResultWriter | None) -> None:
@@ -185,6 +189,21 @@ class Publishable(Protocol):
         -------
         dict
             Images and sizes, by name; on rank 0.
+        """
+        ...
+
+    def summarize(self, of_run: dict[str, Any]) -> Summary:
+        """Sum it up for scripts and people.
+
+        Parameters
+        ----------
+        of_run : dict
+            What is told of any method, by field of the summary.
+
+        Returns
+        -------
+        Summary
+            The same on all ranks.
         """
         ...
 
@@ -229,55 +248,21 @@ class Destination:
 def publish(measurement: Publishable, destination: Destination, files: NewFiles | None = None) -> None:
     """Write a result file; collective, only rank 0 touches the disk.
 
-    Parameters
-    ----------
-    measurement : Publishable
-        What was measured.
-    destination : Destination
-        Where it goes.
-    files : NewFiles, optional
-        Of rank 0, with which it takes its name there; by default it does so by itself.
-
-    Raises
-    ------
-    OSError
-        Where it cannot be written, on all ranks.
+    It takes its name with ``files`` of rank 0, by default by itself. Raises OSError on all ranks where it cannot be
+    written.
     """
     _write(measurement, destination, lambda _: None, files)
 
 
 def gather(measurement: Publishable) -> Result:
-    """Bring a whole measurement together; collective.
-
-    Parameters
-    ----------
-    measurement : Publishable
-        What was measured.
-
-    Returns
-    -------
-    Result
-        As a result file would hold it, in memory, on every rank.
-    """
+    """Bring a whole measurement together as a result file would hold it, in memory, on every rank; collective."""
     return measurement.team.broadcast(_write(measurement, Destination(None), ResultWriter.read_back))
 
 
 def pack(measurement: Publishable, destination: Destination, add: Callable[[ResultWriter], None]) -> bytes | None:
-    """Make a result file in memory, for somebody else to write; collective.
+    """Make the content of a result file, on rank 0, for somebody else to write; collective.
 
-    Parameters
-    ----------
-    measurement : Publishable
-        What was measured.
-    destination : Destination
-        How it is written; its path is not looked at.
-    add : callable
-        Writes what else belongs in the file, on rank 0.
-
-    Returns
-    -------
-    bytes or None
-        Content of the file, on rank 0.
+    The destination's path is not looked at; ``add`` writes what else belongs in the file, on rank 0.
     """
     def finish(writer: ResultWriter) -> bytes:
         add(writer)
