@@ -51,7 +51,8 @@ from ddic.methods.method import MethodSession, prepare_session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.results.listener import Silence
-from ddic.results.publishing import Destination, Publishable, gather, publish
+from ddic.results.publishable import Publishable
+from ddic.results.publishing import Destination, gather, publish
 from ddic.results.run_files import keep_failed_run, remove_failed_field
 from ddic.start.given_start import GivenStart, keep_displacement
 

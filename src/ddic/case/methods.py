@@ -23,7 +23,7 @@ def find_method_section(case: Case) -> str | None:
     return next((section for section in METHODS if getattr(case, section, None) is not None), None)
 
 
-def import_method(case: Case) -> Any:
+def find_method(case: Case) -> Any:
     """Import the method that a case asks for, a ``ddic.methods.method.Method``."""
     section = find_method_section(case)
     module = ON_A_MESH if section is None else METHODS[section]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
-from ddic.case.methods import import_method
+from ddic.case.methods import find_method
 from ddic.case.schema import Case
 from ddic.check.images import check_decodable, check_images, check_texture
 from ddic.check.mesh import CheckedMesh, check_mesh_uses, check_most_ranks
@@ -39,7 +39,7 @@ PixelCounter = Callable[[Mesh, Tying | None], NDArray[np.int64]]
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
     """Refuse, with an InputError, a number of ranks on which the case's method cannot measure it."""
-    import_method(loaded.case).check_ranks(loaded, n_ranks)
+    find_method(loaded.case).check_ranks(loaded, n_ranks)
 
 
 def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
@@ -151,7 +151,7 @@ def check_case(loaded: LoadedCase) -> CheckReport:
         if case.start.from_result is not None:
             require_known_displacement(read_frame_or_last(case.start.from_result, case.start.frame, "start.frame =")[0])
     points = _check_start_points(loaded, reference, problems)
-    report: CheckReport = import_method(case).check(loaded, reference, points, problems)
+    report: CheckReport = find_method(case).check(loaded, reference, points, problems)
     return report
 
 

@@ -60,7 +60,7 @@ def _check_drawing(drawing: Path) -> None:
 
 def _draw(case: Case, drawing: Path) -> None:
     """Draw the mesh of a case that was found fit."""
-    from ddic.case.methods import import_method
+    from ddic.case.methods import find_method
     from ddic.io.image_file import open_image
     from ddic.plots.canvas import save_figure
     from ddic.plots.maps import read_preview
@@ -68,7 +68,7 @@ def _draw(case: Case, drawing: Path) -> None:
     from ddic.problem.cut_region import list_discontinuities
 
     reference = open_image(case.images.reference)
-    mesh = import_method(case).build_result_mesh(case, reference.width, reference.height)
+    mesh = find_method(case).build_result_mesh(case, reference.width, reference.height)
     figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
     save_figure(figure, drawing)
 

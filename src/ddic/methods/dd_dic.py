@@ -20,7 +20,7 @@ from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.listener import Listener, tell
+from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import Measurement, finish_measurement, last_field_kept
 from ddic.solvers.gauss_newton import Progress
 from ddic.solvers.probing import estimate_response
@@ -63,14 +63,14 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
     # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
     model, notes = problem.fit(model if is_regularized else _use(model, seen, q), q)
     model, notes = _use(model, seen, q) if is_regularized else model, (*of_blur, *notes)
-    tell(listener, notes)
+    note_all(listener, notes)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
     looks = Looks(is_regularized=is_regularized)
     while looks.number < MOST_LOOKS:
         n_notes = len(solved.notes)
         solved = solve_further(problem, solved, Progress(clock, listener.iteration), roughly=looks.is_rough)
-        tell(listener, solved.notes[n_notes:])
+        note_all(listener, solved.notes[n_notes:])
         found = solved.solution
         is_paused = found.paused is not None
         with clock.phase(Phase.RESIDUAL):
@@ -84,7 +84,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
         # Where the start was far off, other pixels are hidden here.
         followed = model if model.follows else model.with_large_gradients(found.q)
         model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
-        tell(listener, renewed)
+        note_all(listener, renewed)
         solved = SolvedFrame(solved.field, replace(found, q=list(solved.field.q)), seen, model,
                              (*solved.notes, *renewed))
         # Later, operators that take turns change how fast a field is found, not which.
@@ -109,9 +109,21 @@ class DecomposedSession:
     """A measurement prepared on subdomains, for any number of frames; use it in a ``with`` statement.
 
     M, the partition, the factors and the coarse space come from the reference images. Where a frame hides more than a
-    share of a subdomain's pixels, that subdomain's M and factor are renewed, and the log says so. Where the first frame
-    is known already, its coarse field is sought while rank 0 splits the mesh. Raises InputError, SingularSubdomainError
-    or FactorizationError on all ranks.
+    share of a subdomain's pixels, that subdomain's M and factor are renewed, and the log says so. Raises InputError,
+    SingularSubdomainError or FactorizationError on all ranks.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+    first_frame : Frame, optional
+        Where it is known already, its coarse field is sought while rank 0 splits the mesh.
 
     Attributes
     ----------
@@ -134,7 +146,7 @@ class DecomposedSession:
             begin_search = search.prepare(first_frame)
         reference, found = prepare_reference(team, inputs, region_mesh, clock, begin_search)
         self._found_first = search.share(found)
-        tell(listener, reference.notes)
+        note_all(listener, reference.notes)
         self.problem = WeightedProblem(team, reference, clock, factorize_now=first_frame is None)
         self._start = FrameStart(team, search, self.problem, clock)
 
@@ -172,13 +184,13 @@ class DecomposedSession:
         views = problem.open_frame(frame)
         started = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
-        tell(self._listener, started.notes)
+        note_all(self._listener, started.notes)
         notes = (*problem.reference.notes, *started.notes)
         with last_field_kept(self._clock, lambda *last: finish_measurement(problem, frame, notes, *last)):
             solved = solve_frame(problem, model, started.q, self._listener, self._clock, least_shown)
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
-        tell(self._listener, measurement.notes[len(notes) + len(solved.notes):])
+        note_all(self._listener, measurement.notes[len(notes) + len(solved.notes):])
         return measurement
 
     def estimate_noise_floor(self, measured: Measurement) -> float:

@@ -16,7 +16,7 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cut_region import refuse_kinematics
-from ddic.results.listener import Listener, WithoutNotes, tell
+from ddic.results.listener import Listener, WithoutNotes, note_all
 from ddic.results.measurement import Measurement, gather_displacement
 from ddic.start.frame_start import KnownStart
 
@@ -37,7 +37,7 @@ def is_line_wanted(case: Case) -> bool:
     return any(section.vertices is None for section in case.discontinuity)
 
 
-def are_lines_corrected(case: Case) -> bool:
+def can_correct_lines(case: Case) -> bool:
     """Tell whether images correct lines of a case: one is to be found, or may be off."""
     return is_line_wanted(case) or _may_be_off(case)
 
@@ -90,7 +90,20 @@ class LineSession:
     """A measurement with lines that the images correct: looked for in a frame, or refined in any.
 
     Where a line is to be found, it is prepared when a frame shows it; until then each frame is measured without. Else
-    as ``DecomposedSession``; ``first_frame`` is given where no other one will be measured.
+    as ``DecomposedSession``.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+    first_frame : Frame, optional
+        Where it is known already, and no other one will be measured.
     """
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
@@ -178,10 +191,10 @@ def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inp
             raise
         roughly = _refine_lines_roughly(team, inputs, frame, listener, clock)
         if roughly is None or not roughly.is_any:
-            tell(listener, () if roughly is None else roughly.notes)
+            note_all(listener, () if roughly is None else roughly.notes)
             raise
         found = roughly
-    tell(listener, found.notes)
+    note_all(listener, found.notes)
     if not found.is_any:
         return add_notes(measurement, found.notes)
     return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),

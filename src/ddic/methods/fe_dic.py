@@ -9,7 +9,7 @@ from ddic.inputs.inputs import Inputs
 from ddic.inputs.mesh_source import build_meshes
 from ddic.mesh.mesh import Mesh
 from ddic.methods.dd_dic import DecomposedSession
-from ddic.methods.detect import LineSession, are_lines_corrected
+from ddic.methods.detect import LineSession, can_correct_lines
 from ddic.methods.method import MethodSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -29,7 +29,7 @@ class FiniteElements:
     def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                 first_frame: Frame | None = None) -> MethodSession:
         """Prepare M, factors and coarse space."""
-        session = LineSession if are_lines_corrected(inputs.case) else DecomposedSession
+        session = LineSession if can_correct_lines(inputs.case) else DecomposedSession
         return session(team, inputs, listener, clock, first_frame)
 
 

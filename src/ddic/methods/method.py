@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Protocol, Self
 
 from ddic.case.loader import LoadedCase
-from ddic.case.methods import import_method
+from ddic.case.methods import find_method
 from ddic.case.schema import Case
 from ddic.check.report import CheckReport
 from ddic.images.source import ImageSource
@@ -20,7 +20,7 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.results.listener import Listener
-from ddic.results.publishing import Publishable
+from ddic.results.publishable import Publishable
 
 
 class MethodSession(Protocol):
@@ -183,10 +183,25 @@ class Method(Protocol):
 
 def prepare_session(team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                     first_frame: Frame | None = None) -> MethodSession:
-    """Prepare the reference images as the case's method does, as ``Method.prepare`` says; collective.
+    """Prepare the reference images as the case's method does; collective.
 
-    Raises StoppedError on all ranks where a signal asked one of them to stop.
+    Parameters
+    ----------
+    team, inputs, listener, clock : Team, Inputs, Listener, PhaseClock
+        As ``Method.prepare`` takes them.
+    first_frame : Frame, optional
+        The same.
+
+    Returns
+    -------
+    MethodSession
+        The caller's to close.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError, FactorizationError, StoppedError
+        On all ranks; the last where a signal asked one of them to stop.
     """
     stop_if_asked(team, "before the first iteration")
-    method: Method = import_method(inputs.case)
+    method: Method = find_method(inputs.case)
     return method.prepare(team, inputs, listener, clock, first_frame)

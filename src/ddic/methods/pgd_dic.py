@@ -17,7 +17,7 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.problem.separated_problem import prepare_separated_problem
-from ddic.results.listener import Listener, tell
+from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import last_field_kept
 from ddic.results.separated import SeparatedMeasurement, finish_separated
 from ddic.separated.corrections import CorrectionRecord, correct_displacement
@@ -28,6 +28,17 @@ class SeparatedSession:
     """A prepared PGD-DIC measurement, for any number of frames; use it in a ``with`` statement as other sessions.
 
     Each rank reads some bands of rows. Raises InputError on all ranks.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
     """
 
     # No operator of a mesh is assembled or factorised.
@@ -55,7 +66,7 @@ class SeparatedSession:
         problem = self._problem
         with self._clock.phase(Phase.START):
             begin, notes = find_separated_start(problem, self._search, frame, start)
-        tell(self._listener, notes)
+        note_all(self._listener, notes)
         self._listener.problem_size(problem.size)
         pixels = problem.open_frame(frame)
         with (last_field_kept(self._clock, lambda *found: finish_separated(problem, frame, pixels, notes, *found)),

@@ -37,7 +37,8 @@ from ddic.parallel.stop_request import StopRequest, is_stop_asked
 from ddic.parallel.team import Team, require_held
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
-from ddic.results.publishing import Destination, Publishable, pack, publish
+from ddic.results.publishable import Publishable
+from ddic.results.publishing import Destination, pack, publish
 from ddic.results.series import FrameRecord, SeriesSummary, write_series_summary
 
 
@@ -120,9 +121,9 @@ def measure_frames(team: Team, images: SeriesImages, numbers: Sequence[int], bef
 
 def _begin(images: SeriesImages, before: Sequence[FrameRecord], folder: SeriesFolder) -> FramesSoFar:
     """Prepare the session that an earlier run was at, or a new one; collective."""
-    measured = [record for record in before if record.converged]
+    measured, records = [record for record in before if record.converged], list(before)
     if not measured:
-        return FramesSoFar(ReferenceSession.prepare(images, (), images.opener.first), before, [])
+        return FramesSoFar(ReferenceSession.prepare(images, (), images.opener.first), records, [])
     lines, reference = measured[-1].lines, measured[-1].reference
     # Fields on a mesh that other lines cut do not help.
     known = [record.number for record in measured[-N_STATES:] if record.lines == lines]
@@ -131,12 +132,12 @@ def _begin(images: SeriesImages, before: Sequence[FrameRecord], folder: SeriesFo
     session = ReferenceSession.prepare(images, lines)
     states = collect_states(session.session.problem, [stored[number] for number in known])
     if not states or not reference:
-        return FramesSoFar(session, before, states)
+        return FramesSoFar(session, records, states)
     record = next(record for record in measured if record.number == reference)
     updated = session.update(record, *collect_states(session.session.problem, [stored[reference]]))
     states = updated.restrict_states(session, states)
     session.close()
-    return FramesSoFar(updated, before, states)
+    return FramesSoFar(updated, records, states)
 
 
 def _keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,

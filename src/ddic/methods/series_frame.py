@@ -48,7 +48,13 @@ third of the residual is then light and speckle that have changed. A larger valu
 
 @dataclass(frozen=True)
 class SeriesImages:
-    """What frames are opened, told and timed with."""
+    """What frames are opened, told and timed with.
+
+    Attributes
+    ----------
+    team, opener, listener, clock : Team, FrameOpener, Listener, PhaseClock
+        No signal stops the team.
+    """
 
     team: Team
     opener: FrameOpener
@@ -115,16 +121,25 @@ def choose_start(wanted: str, states: Sequence[MeasuredState], time: float) -> t
 class ReferenceSession:
     """The session of one reference image, the caller's to close.
 
-    Attributes
+    Parameters
     ----------
     images : SeriesImages
         Of the series.
+    inputs : Inputs
+        With that reference image.
+    lines : tuple of tuple of (x, y), optional
+        Vertices of the discontinuities as a frame has refined them, pixels; by default those of the case.
+    first_frame : Frame, optional
+        Where it is known already.
+    of : FrameRecord, optional
+        The frame whose image it is; by default that of no frame, the first one.
+
+    Attributes
+    ----------
     frame : int
-        Whose image is the reference image; 0 for the first one.
-    lines : tuple of tuple of (x, y)
-        Vertices of the discontinuities as a frame has refined them, pixels; empty for those of the case.
+        Its number; 0 for the first reference image.
     session : DecomposedSession
-        Prepared; it is closed with this one.
+        Closed with this one.
     """
 
     def __init__(self, images: SeriesImages, inputs: Inputs, lines: tuple[Vertices, ...] = (),
@@ -299,6 +314,7 @@ def _measure_on_lines(session: ReferenceSession, frame: Frame, states: Sequence[
     return refined, add_notes(measurement, measured.notes[len(inputs.notes):]), start
 
 
+@dataclass
 class FramesSoFar:
     """The frames of a series that are finished, and what the next one goes on from.
 
@@ -312,9 +328,9 @@ class FramesSoFar:
         Of the last that were measured, two at most, on the session's subdomains.
     """
 
-    def __init__(self, session: ReferenceSession, records: Sequence[FrameRecord],
-                 states: Sequence[MeasuredState]) -> None:
-        self.session, self.records, self.states = session, list(records), list(states)
+    session: ReferenceSession
+    records: list[FrameRecord]
+    states: list[MeasuredState]
 
     def measure(self, number: int) -> MeasuredFrame:
         """Measure a frame, with the last one that was measured as its reference image where that is due; collective.

@@ -17,12 +17,12 @@ from ddic.io.result_reader import Result
 from ddic.methods.dd_dic import DecomposedSession
 from ddic.methods.sweep_errors import (
     NOWHERE,
+    collect_trial,
     correct_predictions,
     draw_points,
     estimate_pair_noise,
     evaluate_pair,
     evaluate_virtual,
-    judge_pair,
     predict_errors,
 )
 from ddic.methods.virtual_frames import VirtualFrames, VirtualTruth
@@ -37,7 +37,16 @@ from ddic.start.given_start import EarlierResult, keep_displacement
 class CandidateSession:
     """A candidate, prepared at its first measurement; use it in a ``with`` statement.
 
-    ``stays_open`` tells whether images, M and factors are kept from one measurement to the next.
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    candidate : Candidate
+        What is tried.
+    inputs : Inputs
+        With its case and mesh.
+    stays_open : bool
+        Whether images, M and factors are kept from one measurement to the next.
     """
 
     def __init__(self, team: Team, candidate: Candidate, inputs: Inputs, *, stays_open: bool) -> None:
@@ -58,7 +67,7 @@ class CandidateSession:
         """
         try:
             session = self._open()
-            return judge_pair(self.candidate, session.problem, session.measure(frame, start))
+            return collect_trial(self.candidate, session.problem, session.measure(frame, start))
         except DdicError as error:
             # What this rank alone raises must end the job.
             if not is_collective(error):

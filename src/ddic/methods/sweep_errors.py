@@ -35,7 +35,7 @@ LEAST_MEASURED = 0.95
 NOWHERE = np.zeros((0, 2))
 
 
-def judge_pair(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
+def collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
     """Judge what a candidate measured of the pair by residual, degrees of freedom and noise; collective.
 
     The field comes with the trial, both on every rank. The problem is of one camera, the measurement the last one with

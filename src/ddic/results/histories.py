@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import ResultWriter
 from ddic.results.near import describe_near_field
-from ddic.results.publishing import Publishable
+from ddic.results.publishable import Publishable
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement

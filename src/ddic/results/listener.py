@@ -55,7 +55,13 @@ class Silence:
 
 
 class WithoutNotes(Listener):
-    """Tells another listener how a measurement goes on, but nothing of a field that is not the result."""
+    """Tells another listener how a measurement goes on, but nothing of a field that is not the result.
+
+    Parameters
+    ----------
+    listener : Listener
+        The other one.
+    """
 
     def __init__(self, listener: Listener) -> None:
         self._listener = listener
@@ -88,7 +94,7 @@ class WithoutNotes(Listener):
         self._listener.correction(record)
 
 
-def tell(listener: Listener, notes: Iterable[str]) -> None:
+def note_all(listener: Listener, notes: Iterable[str]) -> None:
     """Tell a listener some notes, a line each."""
     for line in notes:
         listener.note(line)

@@ -17,7 +17,8 @@ from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
 from ddic.io.sidecars import move_result, remove_result
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.publishing import Destination, Publishable, gather_phase_times, publish
+from ddic.results.publishable import Publishable
+from ddic.results.publishing import Destination, gather_phase_times, publish
 from ddic.results.summary import Summary, write_summary
 
 
