@@ -67,12 +67,12 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
                                                  error.last)) from error
     with clock.phase(Phase.START):
         displacement = gather_displacement(measurement)
-        found = team.on_root(lambda: find_line_of_case(inputs, frame, require_held(displacement)))
+        line, note = team.on_root(lambda: find_line_of_case(inputs, frame, require_held(displacement)))
     sections: Sequence[DiscontinuitySection] = ()
-    if found.line is not None:
-        sections = [case.discontinuity[0].model_copy(update={"vertices": tuple(map(tuple, found.line.tolist()))})]
+    if line is not None:
+        sections = [case.discontinuity[0].model_copy(update={"vertices": tuple(map(tuple, line.tolist()))})]
     return replace(inputs, case=case.model_copy(update={"discontinuity": tuple(sections)}),
-                   notes=(*inputs.notes, found.note))
+                   notes=(*inputs.notes, note))
 
 
 def _measure_continuously(case: Case) -> Case:

@@ -29,20 +29,16 @@ class MethodSession(Protocol):
     @property
     def n_assembled(self) -> int:
         """Times that this rank assembled M of a subdomain; 0 where there is none."""
-        ...
 
     @property
     def n_factorized(self) -> int:
         """Operators that this rank factorised."""
-        ...
 
     def __enter__(self) -> Self:
         """Give the session itself."""
-        ...
 
     def __exit__(self, *_: object) -> None:
         """Close it."""
-        ...
 
     def measure(self, frame: Frame, start: Any = None) -> Publishable:
         """Measure the displacement between the reference images and a frame; collective.
@@ -65,7 +61,6 @@ class MethodSession(Protocol):
         InputError, SingularSubdomainError, ConvergenceError
             On all ranks; the last with what was measured so far as ``last``. Other frames can be measured afterwards.
         """
-        ...
 
     def estimate_noise_floor(self, measured: Any) -> float:
         """Estimate what noise of the residual's size leaves in a measured displacement; collective.
@@ -80,11 +75,9 @@ class MethodSession(Protocol):
         float
             RMS of a component at a node, pixels; nan where it is not known.
         """
-        ...
 
     def close(self) -> None:
         """Free what does not go by itself, PETSc's objects say; may be called again."""
-        ...
 
 
 class Method(Protocol):
@@ -105,7 +98,6 @@ class Method(Protocol):
         InputError
             Where the case cannot be measured on so many.
         """
-        ...
 
     def check(self, loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
               problems: Problems) -> CheckReport:
@@ -132,7 +124,6 @@ class Method(Protocol):
         InputError
             With the problems of all inputs, one line each, where there are any.
         """
-        ...
 
     def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
         """Build the mesh on which a case's result is written, as ``ddic check`` draws it.
@@ -149,7 +140,6 @@ class Method(Protocol):
         Mesh
             Pixels.
         """
-        ...
 
     def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                 first_frame: Frame | None = None) -> MethodSession:
@@ -178,7 +168,6 @@ class Method(Protocol):
         InputError, SingularSubdomainError, FactorizationError
             On all ranks.
         """
-        ...
 
 
 def prepare_session(team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,

@@ -18,31 +18,24 @@ class Listener(Protocol):
 
     def phase(self, phase: Phase) -> None:
         """Take note of a phase that begins."""
-        ...
 
     def progress(self, share: float) -> None:
         """Take note of how far the phase at hand is: the share that this rank has done, from 0 to 1."""
-        ...
 
     def note(self, line: str) -> None:
         """Take note of something worth a line."""
-        ...
 
     def frame(self, number: int, n_frames: int, image: str) -> None:
         """Take note of a frame of a series that begins: its number, from 1, and the name of its image's file."""
-        ...
 
     def problem_size(self, size: ProblemSize) -> None:
         """Take note of what is about to be solved."""
-        ...
 
     def iteration(self, record: IterationRecord) -> None:
         """Take note of one Gauss-Newton iteration."""
-        ...
 
     def correction(self, record: CorrectionRecord) -> None:
         """Take note of one correction of PGD-DIC."""
-        ...
 
 
 class Silence:

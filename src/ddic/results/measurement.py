@@ -60,7 +60,7 @@ from ddic.visibility.slow_nodes import estimate_node_deviations
 from ddic.visibility.solved_frame import SolvedFrame
 
 if TYPE_CHECKING:
-    from ddic.results.field_uncertainty import Uncertainty
+    from ddic.results.field_uncertainty import FieldUncertainty
 
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ class Measurement:
         How the linear steps were solved, as a case calls it.
     shown_share : float
         Share of the cells that are seen where the field puts them.
-    uncertainty : Uncertainty or None
+    uncertainty : FieldUncertainty or None
         What noise and regularization do to the field, where the case asks for it.
     """
 
@@ -137,7 +137,7 @@ class Measurement:
     method: str = ""
     preconditioner: str = "none"
     shown_share: float = 1.0
-    uncertainty: Uncertainty | None = None
+    uncertainty: FieldUncertainty | None = None
 
     @property
     def team(self) -> Team:
@@ -273,7 +273,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     cell_errors = [replace(of_cells, doubtful=of_cells.doubtful | is_led)
                    for of_cells, is_led in zip(cell_errors, are_led_astray, strict=True)]
     unmeasured = find_unmeasured_nodes(problem, evaluation)
-    uncertainty: Uncertainty | None = None
+    uncertainty: FieldUncertainty | None = None
     of_uncertainty: tuple[str, ...] = ()
     # A field that is no result has none.
     if inputs.case.output.uncertainty and not failure:
@@ -295,12 +295,12 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
 
 
 def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: list[Array],
-                          unmeasured: list[NDArray[np.bool_]]) -> tuple[Uncertainty | None, tuple[str, ...]]:
+                          unmeasured: list[NDArray[np.bool_]]) -> tuple[FieldUncertainty | None, tuple[str, ...]]:
     """Standard deviations, and what is said of them; a linear step that fails for them does not lose the field."""
-    from ddic.results.field_uncertainty import describe_uncertainty, estimate_uncertainty
+    from ddic.results.field_uncertainty import describe_uncertainty, estimate_field_uncertainty
 
     try:
-        found = estimate_uncertainty(problem, model, evaluation, q, unmeasured)
+        found = estimate_field_uncertainty(problem, model, evaluation, q, unmeasured)
     except ConvergenceError as error:
         # What this rank alone raises must end the job.
         if not is_collective(error):

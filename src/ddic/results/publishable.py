@@ -26,42 +26,34 @@ class Publishable(Protocol):
     @property
     def team(self) -> Team:
         """All ranks."""
-        ...
 
     @property
     def inputs(self) -> Inputs:
         """Reference images and settings."""
-        ...
 
     @property
     def frame(self) -> Frame:
         """The deformed images."""
-        ...
 
     @property
     def size(self) -> ProblemSize:
         """Sizes and weights."""
-        ...
 
     @property
     def unknowns(self) -> Any:
         """What the session that measured it may start another frame from."""
-        ...
 
     @property
     def grey_correction(self) -> GreyCorrection:
         """What was corrected of grey levels."""
-        ...
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should know."""
-        ...
 
     @property
     def failure(self) -> str:
         """Why it is no result; empty where it converged."""
-        ...
 
     def write(self, writer: ResultWriter | None) -> None:
         """Write everything that was measured.
@@ -71,7 +63,6 @@ class Publishable(Protocol):
         writer : ResultWriter or None
             Open on rank 0, None elsewhere.
         """
-        ...
 
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from.
@@ -81,7 +72,6 @@ class Publishable(Protocol):
         dict
             Images and sizes, by name; on rank 0.
         """
-        ...
 
     def summarize(self, of_run: dict[str, Any]) -> Summary:
         """Sum it up for scripts and people.
@@ -96,7 +86,6 @@ class Publishable(Protocol):
         Summary
             The same on all ranks.
         """
-        ...
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Interpolate the displacement.
@@ -111,4 +100,3 @@ class Publishable(Protocol):
         (n, 2) array
             Pixels; nan where nothing was measured.
         """
-        ...

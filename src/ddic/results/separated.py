@@ -33,7 +33,7 @@ from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.fields import convert_to_six_components, describe_nodal_strains
 from ddic.results.histories import write_case
 from ddic.results.publishing import describe_image
-from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
+from ddic.results.residual_image import Patch, write_patches
 from ddic.results.summary import Summary, find_field_ranges
 from ddic.separated.corrections import CorrectionRecord, SeparatedSolution
 from ddic.separated.field import LineElements, SeparatedField
@@ -234,13 +234,10 @@ class SeparatedMeasurement:
 
     def _write_residual_image(self, writer: ResultWriter | None) -> None:
         image, columns = self.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
-        grid = ChunkGrid(image.width, image.height)
-        self.team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
         patches = [Patch(Window(columns.start, rows.start, columns.stop, rows.stop), values)
                    for rows, values in self.residual_rows]
-        chunks = pack_chunks(self.team, grid, [patch.window for patch in patches], iter(patches))
-        stream_chunks(self.team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number,
-                                                                                               chunk.data))
+        write_patches(self.team, writer, ChunkGrid(image.width, image.height), [patch.window for patch in patches],
+                      iter(patches))
 
     def summarize(self, of_run: dict[str, Any]) -> Summary:
         """Sum it up in numbers for scripts and people, the same on all ranks; collective."""
