@@ -42,7 +42,7 @@ test: setup ## run the tests: on one process a core, then on 2, 3 and 4 ranks
 	@bash scripts/run_tests.sh
 
 test-programs: setup ## run the tests that start whole programs: jobs under mpirun, examples, scripts
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m pytest -n auto -m program
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m pytest -n auto --dist loadgroup -m program
 
 test-slurm: setup ## run the Slurm tests on a Slurm of this machine; needs slurm-wlm, munge and libpmix-dev, and root
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; DDIC_TEST_SLURM=1 $(PYTHON) -m pytest tests/cluster/test_slurm.py
@@ -98,49 +98,49 @@ accept-judge: setup ## judge accept/ledger.json: non-zero exit where a check is 
 	@$(PYTHON) -m accept.all_tables judge
 
 accept-core: setup ## measure the acceptance table (CHECK=NAME: one check); non-zero exit where a bound is missed
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.core $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables core $(CHECK)
 
 accept-solver: setup ## measure the interface solver's acceptance table (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.solver --jobs $(JOBS) $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables solver --jobs $(JOBS) $(CHECK)
 
 accept-performance: $(BENCH_STAMP) ## measure the performance acceptance table (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.performance $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables performance $(CHECK)
 
 accept-near-far: setup ## measure the acceptance table of near-field and far-field images (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.near_far $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables near-far $(CHECK)
 
 accept-house: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of the house: fields and rates as before, pages, source (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.house $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables house $(CHECK)
 
 accept-right: $(BENCH_STAMP) $(DOCS_STAMP) ## measure the table of right numbers: moved specimens, masks, cut-off wavelengths, edges, rates on the beam (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.right $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables right $(CHECK)
 
 accept-xdic: setup ## measure the table of discontinuities (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.xdic $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables xdic $(CHECK)
 
 accept-start: setup ## measure the table of the start, as far as it is built (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.start $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables start $(CHECK)
 
 accept-pgd: setup ## measure the table of PGD-DIC (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.pgd $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables pgd $(CHECK)
 
 accept-impressions: setup ## measure the table of first impressions: the chosen solver, pages, packages, strain at nodes, pictures (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.impressions $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables impressions $(CHECK)
 
 accept-practice: setup ## measure the table of daily work: series, clusters, uncertainty, recommended settings, the report (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.practice $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables practice $(CHECK)
 
 accept-faults: setup ## measure the table of faults: bad inputs, damaged files, killed runs (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.faults --jobs $(JOBS) $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables faults --jobs $(JOBS) $(CHECK)
 
 accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay for what spoils others (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.clean $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables clean $(CHECK)
 
 accept-trust: setup ## measure the table of numbers that hold or are nan where something is off: lines (CHECK=NAME: one check)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.trust $(CHECK)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables trust $(CHECK)
 
 trials: setup ## try bad inputs and damaged files (ARGS="--sample 40": some; ARGS=mesh.file: those of a name)
-	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.trials --jobs $(JOBS) $(ARGS)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.bad_inputs --jobs $(JOBS) $(ARGS)
 
 smoke: setup ## run every check of every acceptance table on tiny cases, and judge what is no time, memory or large case: minutes
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.smoke

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from accept.ledger import Entry, forget_all_but, read_ledger
 from accept.open_rows import OPEN
 from accept.support.code_of_check import choose, find_changed, find_code, find_uncommitted
-from accept.tables import TABLES, find_checks, module_of
+from accept.tables import TABLES, find_checks
 from bench.support.runs import ROOT, environment
 
 CheckName = tuple[str, str]
@@ -56,46 +56,18 @@ class Stale:
 
 
 def list_checks() -> list[CheckName]:
-    """List the checks of all tables.
-
-    Returns
-    -------
-    list of tuple of str
-        In the order in which they are measured.
-    """
+    """List the checks of all tables."""
     return [(table, name) for table in TABLES for name in find_checks(table)]
 
 
 def list_missing(entries: Sequence[Entry]) -> list[CheckName]:
-    """List the checks that are not in the ledger.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-        All of the ledger.
-
-    Returns
-    -------
-    list of tuple of str
-        In the order in which they are measured.
-    """
+    """List the checks that are not in the ledger."""
     kept = {(entry.table, entry.check) for entry in entries}
     return [check for check in list_checks() if check not in kept]
 
 
 def list_stale(entries: Sequence[Entry]) -> list[Stale]:
-    """List the checks that were measured before the code that they run was last changed.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-        All of the ledger.
-
-    Returns
-    -------
-    list of Stale
-        In the order in which they are measured.
-    """
+    """List the checks that were measured before the code that they run was last changed."""
     kept = {(entry.table, entry.check): entry for entry in entries}
     stale = []
     for table in TABLES:
@@ -111,18 +83,7 @@ def list_stale(entries: Sequence[Entry]) -> list[Stale]:
 
 
 def judge(entries: Sequence[Entry]) -> int:
-    """Print what is missing in the ledger, how much is older than its code, and what does not hold unless it is known.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-        All of the ledger.
-
-    Returns
-    -------
-    int
-        Exit code: 1 where there is any, or a check holds that ``open_rows.py`` still lists.
-    """
+    """Print what is missing in the ledger, what is older than its code, and what does not hold unless it is known."""
     missing, stale = list_missing(entries), list_stale(entries)
     missed = [entry for entry in entries if not entry.holds]
     are_missed = {(entry.table, entry.check) for entry in missed}
@@ -144,20 +105,12 @@ def judge(entries: Sequence[Entry]) -> int:
 
 
 def measure(checks: Sequence[CheckName], n_jobs: int) -> None:
-    """Measure checks, those of a table in one process; each enters the ledger as soon as it is measured.
-
-    Parameters
-    ----------
-    checks : sequence of tuple of str
-        Which.
-    n_jobs : int
-        Processes at a time of checks that count and do not time.
-    """
+    """Measure checks, those of a table in one process; each enters the ledger as soon as it is measured."""
     for table in TABLES:
         names = [name for of_table, name in checks if of_table == table]
         if names:
             print(f"== {table}: {', '.join(names)}", flush=True)
-            subprocess.run([sys.executable, "-m", module_of(table), "--jobs", str(n_jobs), *names], cwd=ROOT,
+            subprocess.run([sys.executable, "-m", "accept.tables", table, "--jobs", str(n_jobs), *names], cwd=ROOT,
                            env=environment(), check=False)
 
 

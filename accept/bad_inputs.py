@@ -1,22 +1,27 @@
-"""What ddic does with inputs that are wrong, and with files that are damaged: ``accept/trials`` as rows."""
+"""What ddic does with inputs that are wrong, and with files that are damaged: ``accept/trials`` as rows.
+
+Usage: python -m accept.bad_inputs [--sample N] [--jobs N] [WORD ...]: all kinds whose name holds one of the words, or a
+sample of them; exit code 1 where one is not refused as it should be.
+"""
 
 from __future__ import annotations
 
+import argparse
 import random
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from accept.table import Scale
-from accept.trials.command_trials import list_command_trials
+from accept.trials.case_trials import list_command_trials, list_schema_trials
 from accept.trials.file_trials import list_file_trials, list_large_images, list_uncoded_images
-from accept.trials.good_case import make_good_folder
 from accept.trials.mutants import DAMAGED, list_mutants
 from accept.trials.result_trials import list_result_trials
-from accept.trials.schema_trials import list_schema_trials
-from accept.trials.trial import ON_CASE, Trial
+from accept.trials.trial import ON_CASE, Trial, make_good_folder
 from accept.trials.try_all import Verdict, try_all, try_apart, try_one
 from accept.trials.watched_worker import LIMIT_S, Ended, Worker
 from bench.support.rows import Row, append_result
+from bench.support.runs import DATA
 
 FEWEST_KINDS, N_MUTANTS = 450, 300
 EVERY_APART = 60
@@ -32,48 +37,18 @@ SHOWN = 5
 
 
 def list_bad_inputs() -> list[Trial]:
-    """List all kinds of bad input.
-
-    Returns
-    -------
-    list of Trial
-        Of the schema's keys, of files, of results, of command lines.
-    """
+    """List all kinds of bad input."""
     return [*list_schema_trials(), *list_file_trials(), *list_result_trials(), *list_command_trials()]
 
 
 def choose_sample(trials: Sequence[Trial], n_chosen: int) -> list[Trial]:
-    """Choose some trials, the same ones each time.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        To choose from.
-    n_chosen : int
-        How many at most.
-
-    Returns
-    -------
-    list of Trial
-        In their order.
-    """
+    """Choose some trials, the same ones each time."""
     numbers = random.Random(SEED).sample(range(len(trials)), min(n_chosen, len(trials)))
     return [trials[number] for number in sorted(numbers)]
 
 
 def measure_bad_inputs(scale: Scale) -> list[Row]:
-    """Try every kind of bad input, and some as a user does: in processes of their own, on two ranks.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a sample.
-
-    Returns
-    -------
-    list of Row
-        One for those in processes that stay, one for each number of ranks.
-    """
+    """Try every kind of bad input, and some as a user does: in processes of their own, on two ranks."""
     trials, folder = list_bad_inputs(), scale.folder("trials")
     of_cases = [trial for trial in trials if trial.commands == ON_CASE]
     apart = choose_sample(of_cases, SMOKE_APART if scale.smoke else len(of_cases) // EVERY_APART)
@@ -89,18 +64,7 @@ def measure_bad_inputs(scale: Scale) -> list[Row]:
 
 
 def measure_mutants(scale: Scale) -> list[Row]:
-    """Damage files of every format at random and give them to the commands that read them.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a few of each.
-
-    Returns
-    -------
-    list of Row
-        One for each format.
-    """
+    """Damage files of every format at random and give them to the commands that read them."""
     n_mutants = SMOKE_MUTANTS if scale.smoke else N_MUTANTS
     mutants = [trial for kind in DAMAGED for trial in list_mutants(kind, n_mutants)]
     verdicts = try_all(mutants, scale.folder("trials"), scale.jobs)
@@ -110,18 +74,7 @@ def measure_mutants(scale: Scale) -> list[Row]:
 
 
 def measure_unusual_images(scale: Scale) -> list[Row]:
-    """Give images to ``ddic`` that are intact, and too large, blank or without a codec.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run does the same, and judges neither times nor memory.
-
-    Returns
-    -------
-    list of Row
-        How large ones are refused, by which time and memory; what is said of the codec.
-    """
+    """Give images to ``ddic`` that are intact, and too large, blank or without a codec."""
     large, ended = _watch(list_large_images(), scale.folder("trials"))
     cost = ", ".join(f"{one.seconds:.1f} s and {one.peak / 2**20:.0f} MiB" for one in ended)
     what = f"{' and '.join(one.trial.name for one in large)}, a mesh all over them"
@@ -154,3 +107,36 @@ def _row(check: str, bound: str, verdicts: Sequence[Verdict], enough: bool = Tru
     peak = max((verdict.peak for verdict in verdicts), default=0)
     memory = f", {peak / 2**20:.0f} MiB at most" if peak else ""
     return Row(check, bound, f"{len(wrong)} of {len(verdicts)} are not so{memory}{shown}", enough and not wrong)
+
+
+def run_trials(arguments: Sequence[str]) -> int:
+    """Try what the command line asks for, and print what was wrong with each."""
+    parser = argparse.ArgumentParser(prog="python -m accept.bad_inputs")
+    parser.add_argument("words", nargs="*", metavar="WORD", help="parts of names; all kinds by default")
+    parser.add_argument("--sample", type=int, default=None, help="number of kinds, chosen by a seed")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--list", action="store_true", help="list the kinds and try none")
+    chosen = parser.parse_args(arguments)
+    mutants = [trial for kind in DAMAGED for trial in list_mutants(kind, N_MUTANTS)]
+    trials = [trial for trial in (*list_bad_inputs(), *mutants)
+              if not chosen.words or any(word in trial.name for word in chosen.words)]
+    if chosen.sample is not None:
+        trials = choose_sample(trials, chosen.sample)
+    if chosen.list:
+        print(*(trial.name for trial in trials), sep="\n")
+        return 0
+    wrong = [verdict for verdict in try_all(trials, DATA / "trials", chosen.jobs) if verdict.faults]
+    for verdict in wrong:
+        _show(verdict)
+    print(f"{len(trials)} kinds, {len(wrong)} not as they should be")
+    return 1 if wrong else 0
+
+
+def _show(verdict: Verdict) -> None:
+    print(f"{verdict.trial.name}: exit codes {', '.join(map(str, verdict.codes))}")
+    for fault in verdict.faults:
+        print(f"    {fault}")
+
+
+if __name__ == "__main__":
+    sys.exit(run_trials(sys.argv[1:]))

@@ -18,7 +18,7 @@ import tifffile
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from accept.real_cracks import FRACTURE_CUT_OFF, make_fracture_mesh
+from accept.cracks import FRACTURE_CUT_OFF, make_fracture_mesh
 from accept.table import Scale
 from bench.support.before import checkout_before
 from bench.support.paper_case import FULL_WAVELENGTH, HEIGHT, WIDTH, describe_tension, name_images
@@ -135,35 +135,13 @@ STRIP: Mapping[str, PassCase] = {
 
 
 def measure_tension(scale: Scale) -> list[Row]:
-    """Count the iterations of a large clean pair.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small one.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Count the iterations of a large clean pair."""
     size = "512 x 512 px" if scale.smoke else f"{WIDTH} x {HEIGHT} px, 28 Mpx, 221,136 unknowns"
     return [_measure(f"plate with a hole in tension, {size}, l_c = {FULL_WAVELENGTH} px, 2 ranks", TENSION, scale)]
 
 
 def measure_real_pairs(scale: Scale) -> list[Row]:
-    """Count the iterations of real pairs.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one of openhole.
-
-    Returns
-    -------
-    list of Row
-        One for each kind.
-    """
+    """Count the iterations of real pairs."""
     if scale.smoke:
         return [_measure("openhole", {"openhole_70": OPENHOLE["openhole_70"]}, scale)]
     return [_measure("openhole, given mesh, no l_c", OPENHOLE, scale),
@@ -195,22 +173,7 @@ def _measure(what: str, cases: Mapping[str, PassCase], scale: Scale) -> Row:
 
 
 def measure_before(name: str, case: PassCase, text: str) -> Result:
-    """Measure a pair by the older commit until it rests, or read what it measured before.
-
-    Parameters
-    ----------
-    name : str
-        Of the case.
-    case : PassCase
-        The case.
-    text : str
-        Its case file without output and tolerances.
-
-    Returns
-    -------
-    Result
-        With standard deviations at nodes where the case asks for them.
-    """
+    """Measure a pair by the older commit until it rests, or read what it measured before."""
     folder = DATA / "clean_passes" / TODAY
     folder.mkdir(parents=True, exist_ok=True)
     output = f'[output]\nfile = "{name}.vtkhdf"\n' + ("uncertainty = true\n" if case.knows_noise else "")

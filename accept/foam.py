@@ -15,15 +15,20 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from accept.support.difference_noise import (
+from accept.support.foam_noise import (
+    OFFSET,
+    RATIO,
     DifferenceNoise,
+    ShiftError,
     VectorRms,
     draw_vector_rms,
+    foam_case,
+    foam_pairs,
+    measure_shifts,
+    name_pair,
     predict_difference_noise,
 )
-from accept.support.foam_case import OFFSET, RATIO, foam_case, foam_pairs, name_pair
 from accept.support.near_far_case import Alone, Pair, alpha_of, calibrate_command, measured_alone
-from accept.support.whole_pixel_shifts import ShiftError, measure_shifts
 from accept.table import Scale, runs_name
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, environment
@@ -92,18 +97,7 @@ class Compared:
 
 
 def measure_foam(scale: Scale) -> list[Row]:
-    """Compare the joint field on real images with the near images measured alone, the full-resolution ones there.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one mesh.
-
-    Returns
-    -------
-    list of Row
-        One for each mesh, and the calibration.
-    """
+    """Compare the joint field on real images with the near images measured alone, the full-resolution ones there."""
     far, near = foam_pairs()
     folder = scale.folder("near_far")
     sizes = ELEMENTS[-1:] if scale.smoke else ELEMENTS
@@ -176,18 +170,7 @@ def _is_explained(vector_rms: float, expected: VectorRms) -> bool:
 
 
 def measure_foam_places(scale: Scale) -> list[Row]:
-    """Place the finest mesh elsewhere by thirds of an element: other elements along the interface, another alpha.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes two places of the coarsest mesh.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Place the finest mesh elsewhere by thirds of an element: other elements along the interface, another alpha."""
     far, near = foam_pairs()
     size = ELEMENTS[-1] if scale.smoke else ELEMENTS[0]
     shares = [place * size // N_PLACES for place in range(N_PLACES)]
@@ -223,18 +206,7 @@ def _run_unless_slow(case: str, folder: Path) -> Result | None:
 
 
 def measure_foam_noise(scale: Scale) -> list[Row]:
-    """Add known noise to all four pictures, again and again, and see how far the difference moves.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes two draws on the coarsest mesh.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Add known noise to all four pictures, again and again, and see how far the difference moves."""
     far, near = foam_pairs()
     folder = scale.folder("near_far") / "noisy"
     size, n_draws = (ELEMENTS[-1], 2) if scale.smoke else (ELEMENTS[0], N_NOISY)
@@ -279,18 +251,7 @@ def _add_noise(pair: Pair, folder: Path, name: str, rng: np.random.Generator) ->
 
 
 def measure_foam_sampling(scale: Scale) -> list[Row]:
-    """Shift the near reference image by whole pixels, reduce both to far pixels, and measure the known shift.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes the coarsest mesh.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Shift the near reference image by whole pixels, reduce both to far pixels, and measure the known shift."""
     far, near = foam_pairs()
     size = ELEMENTS[-1] if scale.smoke else ELEMENTS[0]
     joint = _compare(far, near, size, scale.folder("near_far")).joint

@@ -1,24 +1,44 @@
-"""Many frames in one session against separate runs: how often M is assembled, memory, time, and the field."""
+"""Many frames in one session against separate runs: how often M is assembled, memory, time, and the field.
+
+Under MPI, as python -m accept.frames TASK, frames are measured in one session and rank 0 prints a JSON line for each.
+TASK is a JSON object with "case" (a case file), "deformed" (an image for each frame), "keep" (frames, from 1, whose
+displacement is kept), "folder" (where it goes) and "from_last" (whether a frame starts from the field of the one
+before).
+"""
 
 from __future__ import annotations
 
+import gc
 import json
+import resource
+import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from accept.support.settings import describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, images, run_job
+from ddic.case.loader import load_case
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.io.result_reader import read_result
+from ddic.methods.dd_dic import DecomposedSession
+from ddic.parallel.phases import PhaseClock
+from ddic.parallel.team import Team
+from ddic.problem.views import open_frame_views
+from ddic.results.listener import Silence
+from ddic.results.measurement import Measurement
+from ddic.results.publishing import gather
 
-JOB = "accept.support.frames_job"
+JOB = "accept.frames"
 SAME_FIELD_PX = 1e-6
 """Largest difference of a displacement component from a separate run's, pixels."""
 
@@ -74,18 +94,7 @@ class Series:
     from_last: bool = True
 
     def arguments(self, frame: int) -> list[str]:
-        """Give the arguments of ``ddic synth`` of a frame.
-
-        Parameters
-        ----------
-        frame : int
-            From 1.
-
-        Returns
-        -------
-        list of str
-            An affine field.
-        """
+        """Give the arguments of ``ddic synth`` of a frame."""
         share = frame / self.n_frames
         strain = self.stretch * share
         # A tenth of a pixel off, so that no pixel lies on the image's edge but for rounding.
@@ -94,20 +103,7 @@ class Series:
                 "0.3", "--size", f"{self.size}x{self.size}", "--noise", "1", "--seed", str(SEED)]
 
     def case(self, folder: Path, frame: int) -> str:
-        """Give the case file of a frame.
-
-        Parameters
-        ----------
-        folder : Path
-            Of the series.
-        frame : int
-            From 1.
-
-        Returns
-        -------
-        str
-            TOML text without ``[output]``.
-        """
+        """Give the case file of a frame."""
         end = MARGIN + self.element * ((self.size - 2 * MARGIN) // self.element)
         return (f'[images]\nreference = "{folder}/1/reference.tif"\ndeformed = "{folder}/{frame}/deformed.tif"\n'
                 f"[mesh.structured]\nregion = [{MARGIN}, {MARGIN}, {end}, {end}]\nelement_size = {self.element}\n"
@@ -160,18 +156,7 @@ class Measured:
 
 
 def measure_many_frames(scale: Scale) -> list[Row]:
-    """Measure frames that all stay in the image: nothing of the reference is done twice.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes three small frames.
-
-    Returns
-    -------
-    list of Row
-        Operators, field, memory, time.
-    """
+    """Measure frames that all stay in the image: nothing of the reference is done twice."""
     series = SMALL_STAYING if scale.smoke else STAYING
     found = _measure(series, scale.folder(series.name))
     what = f"{series.n_frames} frames in one session, {series.size} x {series.size} px, {series.settings}"
@@ -190,18 +175,7 @@ def measure_many_frames(scale: Scale) -> list[Row]:
 
 
 def measure_leaving_frames(scale: Scale) -> list[Row]:
-    """Measure frames that a quarter of the specimen leaves: operators are renewed only where pixels go.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes three small frames.
-
-    Returns
-    -------
-    list of Row
-        Operators, field, time.
-    """
+    """Measure frames that a quarter of the specimen leaves: operators are renewed only where pixels go."""
     series = SMALL_LEAVING if scale.smoke else LEAVING
     found = _measure(series, scale.folder(series.name))
     what = (f"{series.n_frames} frames of which a quarter of the specimen leaves the image, {series.size} x "
@@ -261,3 +235,89 @@ def _choose(n_frames: int) -> tuple[int, ...]:
     """The first frame, the last, and two between."""
     between: Sequence[int] = (n_frames // 3, 2 * n_frames // 3)
     return tuple(sorted({1, *(k for k in between if k > 1), n_frames}))
+
+
+PAGE = resource.getpagesize()
+
+
+def measure_resident() -> int:
+    """Measure the resident memory of this process.
+
+    Returns
+    -------
+    int
+        Bytes.
+    """
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * PAGE
+
+
+def find_losing(inputs: Inputs, frame: Frame, session: DecomposedSession, measurement: Measurement) -> list[int]:
+    """Find the owned subdomains some of whose pixels a frame does not show.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Settings.
+    frame : Frame
+        The deformed images.
+    session : DecomposedSession
+        With the reference's pixels.
+    measurement : Measurement
+        Of the frame.
+
+    Returns
+    -------
+    list of int
+        Their numbers.
+    """
+    losing = []
+    views = open_frame_views(inputs.case, frame, session.problem.reference.views)
+    for subdomain, (view,), q in zip(session.problem.reference.subdomains, views, measurement.q, strict=True):
+        if view.without_hidden(q).n_pixels < view.n_pixels:
+            losing.append(subdomain.index)
+    return losing
+
+
+def measure_frames(team: Team, task: dict[str, Any]) -> None:
+    """Measure all frames; collective."""
+    loaded = load_case(Path(task["case"]))
+    begin = time.perf_counter()
+    inputs, _ = open_inputs(team, loaded)
+    last: Measurement | None = None
+    with DecomposedSession(team, inputs, Silence(), PhaseClock()) as session:
+        preparation = time.perf_counter() - begin
+        for number, deformed in enumerate(task["deformed"], start=1):
+            section = loaded.case.images.model_copy(update={"deformed": Path(deformed)})
+            _, frame = open_inputs(team, replace(loaded, case=loaded.case.model_copy(update={"images": section})))
+            before = list(session.problem.solver.assembly.systems)
+            team.wait_for_all()
+            begin = time.perf_counter()
+            last = session.measure(frame, last.q if last and task["from_last"] else None)
+            team.wait_for_all()
+            seconds = time.perf_counter() - begin
+            record = describe(team, session, before)
+            record |= {"frame": number, "seconds": seconds, "preparation_seconds": preparation,
+                       "iterations": len(last.records),
+                       "losing": team.gather_lists(find_losing(inputs, frame, session, last))}
+            # Of every frame, as a user has it: what it takes must be free again with the next one.
+            displacement = gather(last).displacement
+            if number in task["keep"] and team.is_root:
+                np.save(Path(task["folder"]) / f"session_{number}.npy", displacement)
+            if team.is_root:
+                print(json.dumps(record), flush=True)
+
+
+def describe(team: Team, session: DecomposedSession, before: list[Any]) -> dict[str, Any]:
+    """Say what a session has done so far, summed over ranks; collective."""
+    problem = session.problem
+    renewed = [system.subdomain.index for old, system in zip(before, problem.solver.assembly.systems, strict=True)
+               if system is not old]
+    return {"n_assembled": sum(team.gather_lists([problem.n_assembled])),
+            "n_factorized": sum(team.gather_lists([problem.solver.n_factorized])),
+            "renewed": team.gather_lists(renewed),
+            "resident_bytes": sum(team.gather_lists([measure_resident()]))}
+
+
+if __name__ == "__main__":
+    measure_frames(Team(MPI.COMM_WORLD), json.loads(sys.argv[1]))

@@ -6,14 +6,32 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from accept.support.launcher_lines import drop_launcher_lines
-from accept.support.small_disk import small_disk
+from accept.support.ended_job import drop_launcher_lines
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import NotHereError, ddic, ddic_command, environment, images
+
+
+@contextmanager
+def small_disk(folder: Path, kib: int) -> Iterator[None]:
+    """Mount a disk for as long as the block runs."""
+    folder.mkdir()
+    try:
+        done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(folder)], text=True,
+                              capture_output=True, check=False)
+    except OSError as error:
+        raise NotHereError(f"there is no mount here ({error})") from error
+    if done.returncode:
+        raise NotHereError(f"no disk can be mounted ({done.stderr.strip()})")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
 
 N_SIZES = 20
 LONGEST = 10.0
@@ -66,18 +84,7 @@ class Job:
 
 
 def measure_full_disks(scale: Scale) -> list[Row]:
-    """Run commands over older outputs with disks and limits of many sizes, on one rank and on two.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one size of one command.
-
-    Returns
-    -------
-    list of Row
-        Limits of file sizes, then full disks.
-    """
+    """Run commands over older outputs with disks and limits of many sizes, on one rank and on two."""
     folder = scale.folder("full_disks")
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "limited").mkdir(parents=True)

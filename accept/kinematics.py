@@ -1,20 +1,29 @@
-"""Kinematics of one's own, from examples/: the same field by every method, on every number of ranks."""
+"""Kinematics of one's own, from examples/: the same field by every method, on every number of ranks.
+
+Under MPI, as python -m accept.kinematics EXAMPLE METHOD SECTIONS OUTPUT, with a JSON object of further sections of a
+case, it measures as an example does and keeps the displacement.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
 
+import ddic
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ROOT, run_job
 
-JOB = "accept.support.kinematics_job"
+JOB = "accept.kinematics"
 BOUND_PX = 1e-9
 """Largest difference of a displacement component between methods and rank counts, pixels."""
 
@@ -58,18 +67,7 @@ FIXED = Example("fixed_components", "every third node fixed along y", ("dual", "
 
 
 def measure_integrated(scale: Scale) -> list[Row]:
-    """Compare methods and ranks on integrated DIC, and count the example's lines.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one and two ranks and one method.
-
-    Returns
-    -------
-    list of Row
-        Two rows.
-    """
+    """Compare methods and ranks on integrated DIC, and count the example's lines."""
     rows = _compare(INTEGRATED, scale)
     n_lines = len(INTEGRATED.path.read_text(encoding="utf-8").splitlines())
     return [*rows, Row("integrated DIC as a page of examples/", f"fewer than {MOST_LINES} lines", f"{n_lines} lines",
@@ -77,18 +75,7 @@ def measure_integrated(scale: Scale) -> list[Row]:
 
 
 def measure_fixed_components(scale: Scale) -> list[Row]:
-    """Compare methods and ranks where the number of unknowns differs from node to node.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one and two ranks and one method.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Compare methods and ranks where the number of unknowns differs from node to node."""
     return _compare(FIXED, scale)
 
 
@@ -115,3 +102,33 @@ def _measure(example: Example, method: str, n_ranks: int, folder: Path) -> NDArr
     output.unlink(missing_ok=True)
     run_job(n_ranks, JOB, str(example.path), method, json.dumps(CONVERGED), str(output))
     return np.asarray(np.load(output))
+
+
+N_SUBDOMAINS = 4
+"""As in the examples: as many as the largest number of ranks."""
+
+
+def load_example(path: Path) -> ModuleType:
+    """Import an example, whose own measurement is not run."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} cannot be imported")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def main(example: str, method: str, sections: str, output: str) -> None:
+    """Measure on all ranks; rank 0 writes."""
+    module = load_example(Path(example))
+    settings = json.loads(sections)
+    cut = {} if method == "monolithic" else {"subdomains": N_SUBDOMAINS}
+    settings["solver"] = {**settings.get("solver", {}), "method": method, **cut}
+    options = ddic.Options(settings, module.kinematics)
+    result = ddic.measure(module.IMAGES, module.MESH, options=options)
+    if MPI.COMM_WORLD.rank == 0:
+        np.save(output, result.displacement)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,8 +1,9 @@
-"""Rotations, strains, a neck and other large deformations, measured in one pair with default settings."""
+"""Rotations, strains, necks in one pair and over 60 frames, small regions in large images: with default settings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -49,18 +50,7 @@ FREE_ANGLES, WAVELENGTH, LARGEST_STRAIN = (1.0, 3.0, 10.0, 45.0), 256.0, 2e-4
 
 
 def measure_rotations(scale: Scale) -> list[Row]:
-    """Measure rotations with and without a shift, and scales.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one rotation.
-
-    Returns
-    -------
-    list of Row
-        The worst of each kind.
-    """
+    """Measure rotations with and without a shift, and scales."""
     angles = SMOKE_ANGLES if scale.smoke else ANGLES
     shifted = np.array([SHIFT * SIDE, 0.0])
     rows = [_judge_linear(f"rotation by {angles[0]:g} to {angles[-1]:g} degrees, {what}",
@@ -73,18 +63,7 @@ def measure_rotations(scale: Scale) -> list[Row]:
 
 
 def measure_strains(scale: Scale) -> list[Row]:
-    """Measure homogeneous strains and shear.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one.
-
-    Returns
-    -------
-    list of Row
-        The worst.
-    """
+    """Measure homogeneous strains and shear."""
     chosen = dict(list(STRAINS.items())[-1:] if scale.smoke else STRAINS.items())
     return [_judge_linear("homogeneous strain to 40 %, shear to 0.3", {
         name: (np.array(gradient), None) for name, gradient in chosen.items()})]
@@ -122,18 +101,7 @@ def _mesh_in_the_middle() -> ddic.Mesh:
 
 
 def measure_neck(scale: Scale) -> list[Row]:
-    """Measure a narrow gauge that necks.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes the least elongation without regularization.
-
-    Returns
-    -------
-    list of Row
-        By cut-off wavelength.
-    """
+    """Measure a narrow gauge that necks."""
     rows = []
     for wavelength in (None,) if scale.smoke else (None, 60.0, 300.0):
         options = {} if wavelength is None else {"regularization": {"cut_off_wavelength": wavelength}}
@@ -180,18 +148,7 @@ def make_neck(width: float, share: float = 1.0) -> Deformation:
 
 
 def measure_free_rotation(scale: Scale) -> list[Row]:
-    """Measure rigid rotations whose free edges are controlled.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one angle.
-
-    Returns
-    -------
-    list of Row
-        Errors and strains.
-    """
+    """Measure rigid rotations whose free edges are controlled."""
     controlled: dict[str, Any] = {"regularization": {"cut_off_wavelength": WAVELENGTH, "not_controlled": []}}
     told, holds = [], True
     for degrees in FREE_ANGLES[:1] if scale.smoke else FREE_ANGLES:
@@ -206,7 +163,81 @@ def measure_free_rotation(scale: Scale) -> list[Row]:
                 f"without regularization, largest strain {LARGEST_STRAIN:.0e}", "; ".join(told), holds)]
 
 
-CHECKS: dict[str, Callable[[Scale], list[Row]]] = {
-    "rotations": measure_rotations, "strains": measure_strains, "neck": measure_neck,
-    "free_rotation": measure_free_rotation,
-}
+N_FRAMES, NECK_WIDTH = 60, 140.0
+STRIDES = (1, 2, 5)
+RIGHT_PX = 0.5
+"""Largest error of a node in the last frame, pixels; noise of 2 grey levels leaves 0.1 px at a corner."""
+
+
+def measure_neck_series(scale: Scale) -> list[Row]:
+    """Measure a series, each frame from the one before."""
+    mesh = ddic.structured_mesh((100, 100, 300, 100 + NECK_HEIGHT), 12)
+    camera = Camera((400, SIDE))
+    numbers = range(30, 61, 30) if scale.smoke else range(1, N_FRAMES + 1)
+    reference = render_deformed(make_neck(NECK_WIDTH, 0.0), camera)[0]
+    frames = {n: render_deformed(make_neck(NECK_WIDTH, n / N_FRAMES), camera)[1] for n in numbers}
+    rows = []
+    for stride in STRIDES[-1:] if scale.smoke else STRIDES:
+        chosen = [n for n in frames if n % stride == 0]
+        n_iterations, told, holds = 0, "", False
+        result: ddic.Result | None = None
+        with ddic.prepare(reference, mesh) as session:
+            for n in chosen:
+                try:
+                    result = session.measure(frames[n], start=result)
+                except ddic.DdicError as error:
+                    told = f"frame {n}: {str(error).splitlines()[0]}"
+                    break
+                n_iterations += len(result.gauss_newton["iteration"])
+            if result is not None and not told:
+                off = result.at(mesh.nodes) - make_neck(NECK_WIDTH, chosen[-1] / N_FRAMES).displacement(mesh.nodes)
+                largest = float(np.linalg.norm(off, axis=1).max())
+                holds = largest <= RIGHT_PX
+                told = (f"frame {chosen[-1]} reached, {n_iterations / len(chosen):.1f} iterations a frame, RMS error "
+                        f"{np.sqrt(np.mean(off**2)):.3f} px, largest {largest:.2f} px")
+        rows.append(Row(f"neck of 20 % over {N_FRAMES} frames, each from the last, every {stride} measured",
+                        f"reaches the last frame, no node off by more than {RIGHT_PX} px", told, holds))
+    return rows
+
+
+SIZE, SMOKE_SIZE = (6576, 4384), (2000, 2000)
+"""Width and height of the large image, pixels."""
+
+NECKS = (40.0, 140.0)
+MOST_TIMES_ALONE = 1.01
+"""Standard deviations of the necks, pixels, and the RMS error beside that in a small image: nothing but the start
+differs, and where that is good enough Gauss-Newton forgets it."""
+
+
+def measure_small_region(scale: Scale) -> list[Row]:
+    """Measure the narrow gauge that necks where it is a part of a large image."""
+    width, height = SMOKE_SIZE if scale.smoke else SIZE
+    origin = np.array([width // 2, height // 3])
+    gauge = np.array([100.0, 100.0, 300.0, 100.0 + NECK_HEIGHT])
+    told, holds = [], True
+    for neck in NECKS[:1] if scale.smoke else NECKS:
+        deformation = make_neck(neck)
+        pair = render_deformed(deformation, Camera((400, SIDE)))
+        alone = measure_deformed(pair, ddic.structured_mesh(tuple(gauge), 12), deformation)
+        large = tuple(_surround(image, (height, width), origin, seed) for seed, image in enumerate(pair))
+        moved = Deformation(partial(_displace_from, deformation, origin))
+        mesh = ddic.structured_mesh(tuple(gauge + np.tile(origin, 2)), 12)
+        found = measure_deformed((large[0], large[1]), mesh, moved)
+        holds &= found.converged and found.rms <= MOST_TIMES_ALONE * alone.rms
+        told.append(f"neck of {neck:g} px: " + (f"{found.rms:.4f} px ({alone.rms:.4f} px in an image of its own)"
+                                                if found.converged else f"not converged: {found.refusal}"))
+    return [Row(f"a gauge of {GAUGE[0]} x {GAUGE[1]} px with a neck of 20 % in an image of {width} x {height} px",
+                f"converges, RMS error at most {MOST_TIMES_ALONE:g} times that in an image of its own", "; ".join(told),
+                holds)]
+
+
+def _surround(image: NDArray[Any], shape: tuple[int, int], origin: NDArray[np.int64], seed: int) -> NDArray[np.uint8]:
+    """A large image of noise, with another one in it."""
+    large = np.random.default_rng(seed).integers(58, 63, shape, dtype=np.uint8)
+    large[origin[1]:origin[1] + image.shape[0], origin[0]:origin[0] + image.shape[1]] = image
+    return large
+
+
+def _displace_from(deformation: Deformation, origin: NDArray[np.int64], points: NDArray[np.float64],
+                   ) -> NDArray[np.float64]:
+    return deformation.displacement(points - origin)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from accept.support.deformed_pair import make_rotation
-from accept.table import Check, Scale
+from accept.table import Scale
 from bench.support.before import checkout_before
 from bench.support.rows import Row, append_result
 from bench.support.runs import ROOT, images, mpirun
@@ -81,20 +81,7 @@ class LargePair:
     n_pixels: int
 
     def run(self, n_ranks: int, source: Path) -> Started:
-        """Measure on some ranks with a source's code, and compare with the truth.
-
-        Parameters
-        ----------
-        n_ranks : int
-            Number of MPI ranks.
-        source : Path
-            A checkout of the repository.
-
-        Returns
-        -------
-        Started
-            Times and error.
-        """
+        """Measure on some ranks with a source's code, and compare with the truth."""
         printed = mpirun(n_ranks, sys.executable, "-m", "mpi4py", str(JOB), str(self.case),
                          changes={"PYTHONPATH": str(source / "src")})
         started = Started(**json.loads(printed))
@@ -118,18 +105,7 @@ def _make_pair(scale: Scale, name: str, gradient: Sequence[float], shift: tuple[
 
 
 def measure_turned(scale: Scale) -> list[Row]:
-    """Measure a rotation whose largest displacement is 300 px.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small image.
-
-    Returns
-    -------
-    list of Row
-        One.
-    """
+    """Measure a rotation whose largest displacement is 300 px."""
     (width, height), margin = (SMOKE_SIZE, SMOKE_MARGIN) if scale.smoke else (SIZE, MARGIN)
     largest = LARGEST * width / SIZE[0]
     radius = float(np.hypot(width / 2 - margin, height / 2 - margin))
@@ -150,18 +126,7 @@ def measure_turned(scale: Scale) -> list[Row]:
 
 
 def measure_sufficed(scale: Scale) -> list[Row]:
-    """Compare the start with the one before, where that was enough.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one pair of small images, and compares the source with itself.
-
-    Returns
-    -------
-    list of Row
-        By pair.
-    """
+    """Compare the start with the one before, where that was enough."""
     before = ROOT if scale.smoke else checkout_before(BEFORE)
     return [_compare(what, _make_pair(scale, f"shifted_{number}", gradient, SHIFT), before, scale)
             for number, (what, gradient) in enumerate(list(SUFFICED.items())[:1 if scale.smoke else None])]
@@ -183,6 +148,3 @@ def _compare(what: str, pair: LargePair, before: Path, scale: Scale) -> Row:
     return Row(f"{pair.n_pixels / 1e6:.0f} Mpx, {what}, noise of {NOISE:g} grey levels, {ELEMENT}-px elements",
                f"start takes the busiest rank at most {MOST_TIMES_BEFORE:g} times the CPU time of that of commit "
                f"{BEFORE}; no node off by more than {RIGHT_PX} px", "; ".join(told), holds, judged_small=False)
-
-
-CHECKS: dict[str, Check] = {"large_turned": measure_turned, "large_sufficed": measure_sufficed}

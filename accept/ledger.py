@@ -53,18 +53,7 @@ class Entry:
 
 
 def read_ledger(path: Path = LEDGER) -> list[Entry]:
-    """Read the ledger.
-
-    Parameters
-    ----------
-    path : Path
-        Its file.
-
-    Returns
-    -------
-    list of Entry
-        By table and check; empty where there is no file.
-    """
+    """Read the ledger."""
     if not path.is_file():
         return []
     return [Entry(**entry) for entry in json.loads(path.read_text(encoding="utf-8"))]
@@ -95,15 +84,7 @@ def keep_rows(check: tuple[str, str], rows: Sequence[Row], commit: str, seconds:
 
 
 def forget_all_but(checks: Sequence[tuple[str, str]], path: Path = LEDGER) -> None:
-    """Remove the rows of checks that are no longer part of any table.
-
-    Parameters
-    ----------
-    checks : sequence of tuple of str
-        Table and name of those that are.
-    path : Path
-        The ledger.
-    """
+    """Remove the rows of checks that are no longer part of any table."""
     with _locked():
         entries = read_ledger(path)
         known = [entry for entry in entries if (entry.table, entry.check) in checks]

@@ -92,18 +92,7 @@ def _choose_specimen(scale: Scale, farthest: int) -> Specimen:
 
 
 def measure_moved(scale: Scale) -> list[Row]:
-    """Compare the field of a moved specimen with that at rest, by two methods, with and without regularization.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small specimen.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Compare the field of a moved specimen with that at rest, by two methods, with and without regularization."""
     specimen = _choose_specimen(scale, max(map(abs, MOVED)))
     found = {}
     for method in ("conjugate_gradient", "dual"):
@@ -169,18 +158,7 @@ SMOKE_DISTURBANCES = ("brightness x 0.6", f"blur of {BLUR} px")
 
 
 def measure_disturbed(scale: Scale) -> list[Row]:
-    """Measure disturbed pairs, moved by several distances, with and without regularization.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small specimen and two disturbances, of which one leaves hardly any texture.
-
-    Returns
-    -------
-    list of Row
-        One for each disturbance.
-    """
+    """Measure disturbed pairs, moved by several distances, with and without regularization."""
     shifts = SHIFTS[:2] if scale.smoke else SHIFTS
     specimen = _choose_specimen(scale, max(shifts))
     names = SMOKE_DISTURBANCES if scale.smoke else tuple(DISTURBANCES)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import ddic
+from accept.report_page import find_clipped_texts
 from accept.table import Scale
 from bench.support import runs
 from bench.support.rows import Row
@@ -20,11 +21,18 @@ from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
 from ddic.kinematics.strain import count_folded_cells
-from ddic.plots.cameras import draw_near_far
-from ddic.plots.canvas import find_clipped_texts, find_length_unit
+from ddic.plots.canvas import find_length_unit
 from ddic.plots.curves import draw_krylov
-from ddic.plots.deformed import choose_amplification, draw_deformed
-from ddic.plots.maps import Preview, StrainChoice, draw_displacement, draw_strain, read_preview
+from ddic.plots.maps import (
+    Preview,
+    StrainChoice,
+    choose_amplification,
+    draw_deformed,
+    draw_displacement,
+    draw_near_far,
+    draw_strain,
+    read_preview,
+)
 from ddic.plots.partition import draw_partition
 from ddic.plots.residual import draw_residual
 
@@ -35,18 +43,7 @@ SLIP = 1.5
 
 
 def measure_pictures(scale: Scale) -> list[Row]:
-    """Draw all pictures of five cases.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run leaves out the near-field case, which takes longest.
-
-    Returns
-    -------
-    list of Row
-        Clipped texts, folded cells, formats.
-    """
+    """Draw all pictures of five cases."""
     folder = scale.folder("impressions") / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
     cases = {"plate": _measure_plate(folder), "turned strip in mm": _measure_strip(folder),

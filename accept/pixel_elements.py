@@ -3,22 +3,59 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import ddic
-from accept.support.comparison_curves import draw_comparison
-from accept.support.separated_pair import Pair, list_pixels, measure_rms, store
+from accept.separated_pairs import Pair, list_pixels, measure_rms, store
 from accept.table import Scale
 from bench.support.rows import RESULTS, Row, append_result
 from ddic.parallel.team import require_held
 from ddic.synth.fields import Sinusoidal
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture
+
+
+def draw_comparison(sides: Sequence[float], found: Mapping[str, Sequence[Mapping[str, float]]]) -> Figure:
+    """Draw CPU times of PGD-DIC and Q4 R-DIC, and how far their displacements are apart, as Fig. 17 of [PP12].
+
+    Parameters
+    ----------
+    sides : sequence of float
+        Of the region, pixels.
+    found : mapping of sequence of mapping
+        By kind of images, for each side: ``pgd_cpu_s``, ``q4_cpu_s``, ``difference_px``, ``pgd_error_px``,
+        ``q4_error_px``.
+
+    Returns
+    -------
+    Figure
+        The page.
+    """
+    figure = Figure(figsize=(9.0, 5.0), layout="tight")
+    times, apart = figure.subplots(1, 2)
+    for style, (kind, of_sides) in zip(("-", "--", ":"), found.items(), strict=False):
+        for axes, keys in ((times, {"pgd_cpu_s": "PGD-DIC", "q4_cpu_s": "Q4 R-DIC, dual solver"}),
+                           (apart, {"difference_px": "difference", "pgd_error_px": "error of PGD-DIC",
+                                    "q4_error_px": "error of Q4 R-DIC"})):
+            for colour, (key, label) in zip(("tab:blue", "tab:orange", "tab:green"), keys.items(), strict=False):
+                axes.loglog(sides, [one[key] for one in of_sides], style, color=colour, marker="o", markersize=3,
+                            linewidth=1.4, label=f"{label}, {kind}")
+    times.set_ylabel("CPU time [s]")
+    apart.set_ylabel("RMS displacement [px]")
+    for axes in (times, apart):
+        axes.set_xlabel("side of the region [px]")
+        axes.grid(which="both", alpha=0.25)
+        axes.set_xticks(list(sides), [f"{side:g}" for side in sides])
+        axes.set_xticks([], minor=True)
+        axes.legend(fontsize="x-small", loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+    return figure
+
 
 SIZE, SMOKE_SIZE = 1024, 256
 """Side of the images, pixels."""
@@ -114,18 +151,7 @@ def timed(measure: Callable[[], ddic.Result]) -> Timed:
 
 
 def measure_million(scale: Scale) -> list[Row]:
-    """Measure a million unknowns on float, 8-bit and noisy images.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small region.
-
-    Returns
-    -------
-    list of Row
-        One for each kind of images.
-    """
+    """Measure a million unknowns on float, 8-bit and noisy images."""
     size, side = (SMOKE_SIZE, SMOKE_SIDE) if scale.smoke else (SIZE, SIDE)
     region = find_region(size, side)
     points = list_pixels(region)
@@ -169,18 +195,7 @@ def measure_by_dual(pair: Pair, side: int) -> ddic.Result:
 
 
 def measure_against_dual(scale: Scale) -> list[Row]:
-    """Compare displacements and CPU times with those of the dual solver, by size of the region.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one small region.
-
-    Returns
-    -------
-    list of Row
-        Without noise, and with noise of 2 grey levels.
-    """
+    """Compare displacements and CPU times with those of the dual solver, by size of the region."""
     size, sides = (SMOKE_SIZE, SMOKE_SIDES) if scale.smoke else (SIZE, SIDES)
     measure_pixels(render_reference(SMOKE_SIZE, "float"), 60)
     measure_by_dual(render_reference(SMOKE_SIZE, "float"), 60)

@@ -1,22 +1,59 @@
 """What the preconditioner brings: GMRES iterations at equal displacement error, four-point-bending-like case.
 
 The open-hole beam of [BP17, 5.3] scaled to 1500 x 1000 px: mixed T3/Q4 mesh of 15 px, 45 METIS subdomains,
-equilibrium gap.
+equilibrium gap. As python -m accept.preconditioners CASE, a JSON object with the sections of a case, it prints error
+and residual after every GMRES iteration, a JSON line for each preconditioner.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import meshio
+import numpy as np
 from matplotlib.figure import Figure
+from petsc4py import PETSc
 
-from accept.support.beam_mesh import write_beam_mesh
 from accept.table import Scale
 from bench.support.rows import RESULTS, Row, append_result
 from bench.support.runs import ROOT, images, run_job
+from bench.support.step_problem import (
+    ALONE,
+    StepProblem,
+    Vector,
+    correct_monolithically,
+    factorize,
+    prepare_step,
+    prepare_whole,
+)
+from ddic.case.schema import Case
+from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.topology import find_boundary_nodes
+from ddic.parallel.field import Field
+from ddic.solvers.dual.dual_problem import DualProblem
+from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
+
+
+def write_beam_mesh(path: Path, region: tuple[float, float, float, float], element_size: float,
+                    hole: tuple[tuple[float, float], float], seed: int = 0) -> None:
+    """Write a mesh whose inner nodes are moved at random and of whose quadrangles two in five are cut in two."""
+    mesh = build_structured_mesh(region, element_size, "Q4", [hole], [], None)
+    rng = np.random.default_rng(seed)
+    moved = rng.uniform(-0.18, 0.18, size=mesh.nodes.shape) * element_size
+    moved[find_boundary_nodes(mesh)] = 0.0
+    quads = mesh.cells[mesh.types == Q4.vtk]
+    triangles = mesh.cells[mesh.types == T3.vtk][:, :3]
+    cut = rng.random(len(quads)) < 0.4
+    halves = np.concatenate([quads[cut][:, [0, 1, 2]], quads[cut][:, [0, 2, 3]]])
+    cells = [("quad", quads[~cut]), ("triangle", np.concatenate([triangles, halves]))]
+    points = np.pad(mesh.nodes + moved, ((0, 0), (0, 1)))
+    meshio.write(path, meshio.Mesh(points, cells), file_format="vtk")
 
 
 @dataclass(frozen=True)
@@ -59,20 +96,9 @@ NAMES = {"none": "no preconditioner", "paper": "block explicit inverse [BP17]", 
 
 
 def measure(scale: Scale) -> list[Row]:
-    """Count iterations after which the displacement is within 1e-4 of the monolithic one, and draw the curves.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small beam.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Count iterations after which the displacement is within 1e-4 of the monolithic one, and draw the curves."""
     beam = SMOKE if scale.smoke else FULL
-    lines = run_job(1, "accept.support.preconditioner_job", json.dumps(_case(beam, scale.folder("beam"))))
+    lines = run_job(1, "accept.preconditioners", json.dumps(_case(beam, scale.folder("beam"))))
     records = {record["preconditioner"]: record for record in lines}
     needed = {kind: _count_iterations(record["curve"]) for kind, record in records.items()}
     for kind, record in records.items():
@@ -121,3 +147,77 @@ def _draw(records: dict[str, Any]) -> Figure:
     axes.legend()
     axes.grid(alpha=0.3)
     return figure
+
+
+KINDS: tuple[Preconditioner, ...] = ("none", "paper", "scaled")
+TOLERANCE, MOST_ITERATIONS = 1e-8, 3000
+"""Of GMRES."""
+
+Curve = list[tuple[int, float, float]]
+"""Iteration, residual norm and displacement error relative to the one-domain correction."""
+
+
+def error_curve(kind: Preconditioner, problem: StepProblem, b: Vector, reference: Vector) -> tuple[Curve, int]:
+    """Solve the first linear step of a case and look at every iterate.
+
+    Parameters
+    ----------
+    kind : Preconditioner
+        solver.preconditioner.
+    problem : StepProblem
+        The subdomains.
+    b : (n_field,) array
+        Right-hand side of the whole mesh.
+    reference : (n_field,) array
+        Correction of one domain, pixels.
+
+    Returns
+    -------
+    curve : list
+        Of all iterations.
+    n_interface : int
+        Number of interface unknowns.
+    """
+    assembly = problem.assemble()
+    operators = factorize(assembly)
+    scale = assembly.reaction_scale
+    step = DualStep(ALONE, assembly.systems, operators, scale, DualSettings(kind, TOLERANCE, MOST_ITERATIONS))
+    # The step keeps its own to itself; what multipliers correct is the same.
+    interface = DualProblem(ALONE, assembly.systems, operators, scale)
+    shared = problem.count_subdomains()
+    at_rest = Field.zero(ALONE, [system.subdomain for system in assembly.systems])
+    right = at_rest.with_parts(b[n] / shared[n] for n in problem.numbers)
+    free = at_rest.with_parts(operator.solve(r) for operator, r in zip(operators, right, strict=True))
+    curve: Curve = []
+
+    def watch(ksp: PETSc.KSP, iteration: int, norm: float) -> None:
+        dq = interface.correct(free, ksp.buildSolution())
+        squares = sum(((d - reference[n]) ** 2 / shared[n]).sum() for d, n in zip(dq, problem.numbers, strict=True))
+        curve.append((iteration, norm, float(np.sqrt(squares) / np.linalg.norm(reference))))
+
+    step.ksp.setMonitor(watch)
+    step.solve(at_rest, right)
+    n_interface = step.n_interface
+    step.destroy()
+    interface.destroy()
+    for operator in operators:
+        operator.destroy()
+    return curve, n_interface
+
+
+def main(case_json: str) -> None:
+    """Print a curve for each preconditioner."""
+    case = Case.model_validate(json.loads(case_json))
+    whole = prepare_whole(case)
+    q = np.zeros(whole.region.n_field)
+    (b,) = whole.right_hand_sides([q])
+    reference = correct_monolithically(whole, q, b)
+    problem = prepare_step(ALONE, case)
+    for kind in KINDS:
+        curve, n_interface = error_curve(kind, problem, b, reference)
+        print(json.dumps({"preconditioner": kind, "n_dofs": whole.region.n_field, "n_interface": n_interface,
+                          "subdomains": problem.region.n_subdomains, "curve": curve}), flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

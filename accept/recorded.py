@@ -57,20 +57,7 @@ class Source:
 
 
 def make_inputs(case: RecordedCase, folder: Path) -> list[str]:
-    """Make the images of a case and what else it reads.
-
-    Parameters
-    ----------
-    case : RecordedCase
-        The case.
-    folder : Path
-        Where its files go.
-
-    Returns
-    -------
-    list of str
-        A digest of each image's file, by name.
-    """
+    """Make the images of a case and what else it reads."""
     for name, arguments in case.synth:
         (folder / name).mkdir(parents=True, exist_ok=True)
         ddic("synth", *arguments.split(), "--output", str(folder / name))
@@ -87,18 +74,7 @@ def _digest(path: Path) -> str:
 
 
 def use_all_pixels(text: str) -> str:
-    """Let all pixels count as they are, and edges follow them alone, as the code before did, which knew nothing else.
-
-    Parameters
-    ----------
-    text : str
-        A case file.
-
-    Returns
-    -------
-    str
-        The same without the choices that are made from an image pair.
-    """
+    """Let all pixels count as they are, and edges follow them alone, as the code before did: it knew nothing else."""
     keys = 'spoilt_pixels = "keep"\n' + ("" if "grey_correction" in text else 'grey_correction = "none"\n')
     text = text.replace("[regularization]\n", "[regularization]\nedge_wavelength = 0\n")
     if "[correlation]\n" in text:
@@ -135,26 +111,7 @@ BY_DEFAULT = Way(lambda text: text, ".defaults.npz", lambda case: DEFAULTS_OF)
 
 def measure_fields(case: RecordedCase, folder: Path, n_ranks: int, source: Source,
                    way: Way) -> dict[str, NDArray[np.float64]]:
-    """Run a case through the command line.
-
-    Parameters
-    ----------
-    case : RecordedCase
-        The case, whose inputs are there.
-    folder : Path
-        Where its files are.
-    n_ranks : int
-        Number of MPI ranks; runs that are not for it are left out.
-    source : Source
-        The package to measure with.
-    way : Way
-        With all pixels as they are, or by defaults.
-
-    Returns
-    -------
-    dict
-        What ``Fields`` says.
-    """
+    """Run a case through the command line, but for runs that are not for this number of ranks; as ``Fields`` says."""
     found = {}
     for run in case.runs:
         if n_ranks not in run.ranks:
@@ -265,18 +222,7 @@ def _listed(values: Mapping[str, float]) -> str:
 
 
 def recorded(scale: Scale) -> list[Row]:
-    """Compare all recorded cases, with all pixels as they are and by defaults, a row each.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run compares one case.
-
-    Returns
-    -------
-    list of Row
-        A case that fails is a row that does not hold.
-    """
+    """Compare all recorded cases, with all pixels as they are and by defaults, a row each."""
     rows = []
     for name in SMOKE if scale.smoke else CASES:
         for way in (ALL_PIXELS, BY_DEFAULT):

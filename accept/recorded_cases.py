@@ -100,20 +100,7 @@ class RecordedCase:
 
 
 def images_section(folder: str = "images", more: str = "") -> str:
-    """Give the section [images] of a pair of ``ddic synth``.
-
-    Parameters
-    ----------
-    folder : str
-        Folder of the pair, relative to the case file.
-    more : str
-        Further lines of the section.
-
-    Returns
-    -------
-    str
-        TOML text.
-    """
+    """Give the section [images] of a pair of ``ddic synth``."""
     return f'[images]\nreference = "{folder}/reference.tif"\ndeformed = "{folder}/deformed.tif"\n{more}'
 
 
@@ -156,18 +143,7 @@ def gap_section(wavelength: float, more: str = "") -> str:
 
 
 def solver_section(keys: str) -> str:
-    """Give the section [solver], solved to 1e-12, and the tight [gauss_newton] that all runs share.
-
-    Parameters
-    ----------
-    keys : str
-        Lines of the section, without tolerances; the dual method where they say no other.
-
-    Returns
-    -------
-    str
-        TOML text.
-    """
+    """Give the section [solver], solved to 1e-12, and the tight [gauss_newton] that all runs share."""
     method = "" if "method" in keys else 'method = "dual"\n'
     return f"[solver]\n{method}tolerance = 1e-12\ninexact = false\n{keys}\n{CONVERGED}"
 

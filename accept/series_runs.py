@@ -1,4 +1,4 @@
-"""Series of images: how fast frames come, what a killed run loses, and what a real test takes as a series."""
+"""Series of images: how fast frames come, what killed runs lose and go on from, a real test as a series."""
 
 from __future__ import annotations
 
@@ -11,17 +11,47 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import psutil
+from numpy.typing import NDArray
 
-from accept.openhole import case_text
-from accept.support.moving_frames import REPEATABLE, Frames, describe_case, write_frames
-from accept.support.same_datasets import find_unequal_datasets
+from accept.real_images import case_text
+from accept.support.deformed_pair import REPEATABLE, Frames, describe_case, write_frames
 from accept.support.settings import describe_settings
-from accept.table import Check, Scale
+from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ROOT, TIMEOUT_S, ddic_command, ddic_run, environment, mpirun, real_data
 from ddic.io.series_reader import read_series
+
+OF_TIME = ("history/phases", "series/records")
+"""Parts of the names of datasets of seconds and what follows from them, which no run repeats."""
+
+
+def find_unequal_datasets(one: Path, other: Path) -> tuple[int, list[str]]:
+    """Compare all datasets of two result files to the last bit, but those of seconds."""
+    first, second = _read(one), _read(other)
+    missing = set(first) ^ set(second)
+    unequal = [name for name in set(first) & set(second) if not _are_equal(first[name], second[name])]
+    return len(first), sorted([*missing, *unequal])
+
+
+def _read(path: Path) -> dict[str, NDArray[Any]]:
+    found: dict[str, NDArray[Any]] = {}
+
+    def keep(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and not any(part in name for part in OF_TIME):
+            found[name] = np.asarray(item[()])
+
+    with h5py.File(path) as file:
+        file.visititems(keep)
+    return found
+
+
+def _are_equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    may_be_nan = one.dtype.kind == "f" and other.dtype.kind == "f"
+    return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=may_be_nan)
+
 
 SERIES, SMOKE_SERIES = (54, 58, 62, 66, 70), (54, 58)
 """Frames of the open-hole test, all compared with frame 53."""
@@ -47,18 +77,7 @@ KILLED_FRAME, POLL_S = 3, 0.005
 
 
 def measure_openhole(scale: Scale) -> list[Row]:
-    """Measure a real test as a series, and its frames one by one.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes two frames, once.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Measure a real test as a series, and its frames one by one."""
     folder, numbers = scale.folder("openhole_series"), SMOKE_SERIES if scale.smoke else SERIES
     times: dict[str, list[float]] = {"series": [], "one by one": []}
     converged = True
@@ -105,18 +124,7 @@ class _Watched:
 
 
 def measure_rate(scale: Scale) -> list[Row]:
-    """Measure how many frames a second are measured and written, and whether memory grows.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes few small frames.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Measure how many frames a second are measured and written, and whether memory grows."""
     frames, element = (SMOKE_FAST, SMALL_ELEMENT) if scale.smoke else (FAST, ELEMENT)
     folder = scale.folder("series_rate")
     seen = _watch_series(frames, element, folder)
@@ -142,18 +150,7 @@ def measure_rate(scale: Scale) -> list[Row]:
 
 
 def measure_beside_pyvale(scale: Scale) -> list[Row]:
-    """Compare CPU seconds a frame with those of pyvale on the middle frame.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes few small frames, and ddic alone where the peers are not installed.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Compare CPU seconds a frame with those of pyvale on the middle frame."""
     from bench.support.peer_environment import peers_are_there
 
     frames, element = (SMOKE_FAST, SMALL_ELEMENT) if scale.smoke else (FAST, ELEMENT)
@@ -235,18 +232,7 @@ def _time_pyvale(folder: Path, frames: Frames) -> float:
 
 
 def measure_killed(scale: Scale) -> list[Row]:
-    """Kill a rank, then mpirun, in the middle of a frame, resume, and compare with what was not disturbed.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes few small frames.
-
-    Returns
-    -------
-    list of Row
-        One row for each.
-    """
+    """Kill a rank, then mpirun, in the middle of a frame, resume, and compare with what was not disturbed."""
     frames = SMOKE_FAST if scale.smoke else Frames((1200, 1000), 6, 6.0)
     folder = scale.folder("series_killed")
     write_frames(frames, folder)
@@ -324,6 +310,42 @@ def kill_in_frame(case: Path, frame: int, victim: str = "rank", *words: str) -> 
     return seconds
 
 
-CHECKS: dict[str, Check] = {
-    "openhole_series": measure_openhole, "frame_rate": measure_rate, "killed": measure_killed,
-}
+KILLED_SIZE = (128, 128)
+N_FRAMES, EVERY = 300, 20
+SMOKE_FRAMES, SMOKE_EVERY = 8, 4
+LARGEST_KILLED = 6.0
+"""Displacement in the last frame, pixels."""
+
+
+def measure_resumed_series(scale: Scale) -> list[Row]:
+    """Measure a series while a rank is killed every so many frames, resume each time, and compare."""
+    n_frames, every = (SMOKE_FRAMES, SMOKE_EVERY) if scale.smoke else (N_FRAMES, EVERY)
+    frames, folder = Frames(KILLED_SIZE, n_frames, LARGEST_KILLED), scale.folder("resumed_series")
+    write_frames(frames, folder)
+    for name in ("whole", "killed"):
+        shutil.rmtree(folder / f"{name}.frames", ignore_errors=True)
+        for older in folder.glob(f"{name}.*"):
+            older.unlink()
+    case = describe_case(frames, ELEMENT) + REPEATABLE
+    ddic_run(case, folder, 2, "whole")
+    path = folder / "killed.toml"
+    path.write_text(f'{case}\n[output]\nfile = "killed.vtkhdf"\n', encoding="utf-8")
+    seconds: list[float] = []
+    n_kept: list[int] = []
+    for frame in range(every, n_frames, every):
+        seconds.append(kill_in_frame(path, frame, "rank", *(["--resume"] if seconds else [])))
+        n_kept.append(len(list((folder / "killed.frames").glob("*.vtkhdf"))))
+    mpirun(2, ddic_command(), "run", str(path), "--resume")
+    n_compared, unequal = find_unequal_datasets(folder / "whole.vtkhdf", folder / "killed.vtkhdf")
+    n_measured = len(read_series(folder / "killed.vtkhdf"))
+    left = sorted(one.name for one in folder.iterdir() if one.name.startswith((".", "killed.frames")))
+    width, height = KILLED_SIZE
+    return [Row(f"{n_frames} frames, {width} x {height} px, 2 ranks: SIGKILL to a rank in every {every}th, --resume "
+                "each time",
+                "every process gone within 10 s; all frames measured; datasets equal to those of an undisturbed run; "
+                "nothing left",
+                f"{len(seconds)} killed, all gone after {max(seconds):.1f} s at most; frames kept: "
+                f"{', '.join(map(str, n_kept))}; {n_measured} of {n_frames} measured; {len(unequal)} of {n_compared} "
+                f"datasets differ{': ' + ', '.join(unequal[:3]) if unequal else ''}; "
+                f"{', '.join(left) or 'nothing'} left",
+                max(seconds) <= 10 and n_measured == n_frames and not unequal and not left)]

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from accept.table import Scale
-from accept.tables import TABLES, module_of
+from accept.tables import TABLES
 from bench.support.rows import Row
 from bench.support.runs import DATA, ROOT, environment
 
@@ -35,18 +35,7 @@ LONGEST = 10
 
 
 def run_smoke(tables: Sequence[str]) -> int:
-    """Run every check of some tables on tiny cases.
-
-    Parameters
-    ----------
-    tables : sequence of str
-        Names of TABLES.
-
-    Returns
-    -------
-    int
-        Exit code: 1 where a check does not run, a row that is judged does not hold, or too few are judged.
-    """
+    """Run every check of some tables on tiny cases."""
     failed, verdicts = [], []
     with ThreadPoolExecutor(N_LANES) as lanes:
         running = {lanes.submit(_run_table, table): table for table in tables}
@@ -67,25 +56,14 @@ def run_smoke(tables: Sequence[str]) -> int:
 def _run_table(table: str) -> tuple[int, str]:
     """Run a table as a program, with data of its own: another table may write the same files; code, what it prints."""
     begin = time.perf_counter()
-    command = [sys.executable, "-m", module_of(table), "--smoke", "--jobs", N_JOBS]
+    command = [sys.executable, "-m", "accept.tables", table, "--smoke", "--jobs", N_JOBS]
     done = subprocess.run(command, cwd=ROOT, env=environment({"DDIC_BENCH_DATA": str(DATA / f"of_{table}")}), text=True,
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
     return done.returncode, f"{done.stdout}{time.perf_counter() - begin:.0f} s"
 
 
 def measure_smoke(scale: Scale) -> list[Row]:
-    """Measure how long all tables take on tiny cases, as CI runs them, and how many rows are judged there.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run is measured by its caller.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Measure how long all tables take on tiny cases, as CI runs them, and how many rows are judged there."""
     what = "every check of every table on a tiny case (make smoke)"
     bound = f"runs and holds, at least {LEAST_JUDGED:.0%} of the rows judged, in at most {LONGEST} minutes"
     if scale.smoke:
@@ -101,4 +79,4 @@ def measure_smoke(scale: Scale) -> list[Row]:
 
 
 if __name__ == "__main__":
-    sys.exit(run_smoke(sys.argv[1:] or TABLES))
+    sys.exit(run_smoke(sys.argv[1:] or list(TABLES)))

@@ -5,15 +5,14 @@ The preconditioner is two_level where none is named.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from accept.openhole import case_text
-from accept.table import Check, Scale, run_table, runs_name
+from accept.real_images import case_text
+from accept.table import Scale, runs_name
 from bench import iterations as grid
 from bench import local_inverse
 from bench.support.rows import Row, append_result
@@ -47,18 +46,7 @@ Record = dict[str, Any]
 
 
 def measure_iterations(scale: Scale) -> list[Row]:
-    """Count GMRES iterations to 1e-6 over the grid l_c/H x subdomains x size, and what 256 subdomains add to 64.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes two cells.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Count GMRES iterations to 1e-6 over the grid l_c/H x subdomains x size, and what 256 subdomains add to 64."""
     records = _grid(scale)
     counts = {(r["elements_per_side"], r["lc_over_H"], r["n_subdomains"]): r["iterations"] for r in records}
     added = [_added(count, counts[n, ratio, MANY]) for (n, ratio, subdomains), count in counts.items()
@@ -72,18 +60,7 @@ def measure_iterations(scale: Scale) -> list[Row]:
 
 
 def measure_accuracy(scale: Scale) -> list[Row]:
-    """Measure the distance of the dual solution at tolerance 1e-10 from the one-domain solution over the same grid.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes two cells.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Measure the distance of the dual solution at tolerance 1e-10 from the one-domain solution over the same grid."""
     records = _grid(scale)
     shares = [_share(r) for r in records]
     worst = records[int(np.argmax(shares))]
@@ -95,18 +72,7 @@ def measure_accuracy(scale: Scale) -> list[Row]:
 
 
 def measure_contrast(scale: Scale) -> list[Row]:
-    """Count iterations where every second subdomain has a tenth of the texture's contrast.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes one cell.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Count iterations where every second subdomain has a tenth of the texture's contrast."""
     sizes = (SMOKE_ELEMENTS, SMOKE_SIDES) if scale.smoke else (grid.ELEMENTS, grid.SIDES)
     elements, sides = sizes
     records = _run(grid.contrast_tasks(elements, sides, ("two_level",)), scale.jobs)
@@ -116,18 +82,7 @@ def measure_contrast(scale: Scale) -> list[Row]:
 
 
 def measure_mixed(scale: Scale) -> list[Row]:
-    """Count iterations on an unstructured mesh of T3 and Q4 with a hole, the paper's and plain GMRES beside.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small plate.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Count iterations on an unstructured mesh of T3 and Q4 with a hole, the paper's and plain GMRES beside."""
     plate = grid.SMALL_PLATE if scale.smoke else grid.PLATE
     records = _run(grid.mixed_tasks(("two_level", "paper", "none"), plate), scale.jobs)
     two_level = [r for r in records if r["preconditioner"] == "two_level"]
@@ -141,18 +96,7 @@ def measure_mixed(scale: Scale) -> list[Row]:
 
 
 def measure_recycling(scale: Scale) -> list[Row]:
-    """Count Krylov iterations of a whole run on real images with and without recycling and inexact tolerances.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run does the same.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Count Krylov iterations of a whole run on real images with and without recycling and inexact tolerances."""
     folder = scale.folder("accept_solver")
     totals, fields = {}, []
     for name, on in (("kept", "true"), ("fixed", "false")):
@@ -173,18 +117,7 @@ def measure_recycling(scale: Scale) -> list[Row]:
 
 
 def measure_large_subdomain(scale: Scale) -> list[Row]:
-    """Measure the memory of a rank whose subdomain is large, with the local inverse that ddic chooses by itself.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small subdomain.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Measure the memory of a rank whose subdomain is large, with the local inverse that ddic chooses by itself."""
     side = SMOKE_LARGE if scale.smoke else LARGE
     record = local_inverse.measure_one(side, "auto")
     peak, before = record["peak_bytes"], record["before_factorization_bytes"]
@@ -192,16 +125,6 @@ def measure_large_subdomain(scale: Scale) -> list[Row]:
                 'two-level set-up included, local_inverse = "auto"', f"< {GIBIBYTES} GiB",
                 f"{peak / 2**30:.2f} GiB, of which factorisation and set-up {(peak - before) / 2**30:.2f} GiB; "
                 f"{record['n_interface']} interface unknowns", peak < GIBIBYTES * 2**30, judged_small=False)]
-
-
-CHECKS: dict[str, Check] = {
-    "iterations": measure_iterations,
-    "accuracy": measure_accuracy,
-    "contrast": measure_contrast,
-    "mixed": measure_mixed,
-    "recycling": measure_recycling,
-    "large_subdomain": measure_large_subdomain,
-}
 
 
 @cache
@@ -258,7 +181,3 @@ def _cell(record: Record) -> str:
 
 def _listed(values: Iterable[float]) -> str:
     return ", ".join(f"{value:g}" for value in values)
-
-
-if __name__ == "__main__":
-    sys.exit(run_table(TABLE, CHECKS))

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ddic
+from accept.full_disks import small_disk
 from accept.support.ended_job import DDIC, LONGEST, Ended, Job, prepare_case
-from accept.support.small_disk import small_disk
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import NotHereError, environment
@@ -51,18 +51,7 @@ int clock_gettime(clockid_t clock, struct timespec *now)
 
 
 def measure_surroundings(scale: Scale) -> list[Row]:
-    """Run commands over an older result where something around them is not as usual.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run tries one command.
-
-    Returns
-    -------
-    list of Row
-        One for each of what surrounds them, and how soon all end.
-    """
+    """Run commands over an older result where something around them is not as usual."""
     folder = scale.folder("surroundings")
     shutil.rmtree(folder, ignore_errors=True)
     prepare_case(folder)

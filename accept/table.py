@@ -42,18 +42,7 @@ class Scale:
     jobs: int = 1
 
     def folder(self, name: str) -> Path:
-        """Give the folder of a check's files, another one for tiny cases.
-
-        Parameters
-        ----------
-        name : str
-            Of the check.
-
-        Returns
-        -------
-        Path
-            A folder below ``bench/data``, which need not exist.
-        """
+        """Give the folder of a check's files, another one for tiny cases."""
         return DATA / "smoke" / name if self.smoke else DATA / name
 
 
@@ -65,22 +54,8 @@ def run_table(table: str, checks: Mapping[str, Check], arguments: Sequence[str] 
     """Measure the checks that the command line names, all where it names none; print and keep their rows.
 
     A check that cannot be measured, for whatever reason, is a row that does not hold and stops no other.
-
-    Parameters
-    ----------
-    table : str
-        Name of the table: ``make accept-TABLE`` shows it.
-    checks : mapping
-        Checks by name, in the order in which they are measured.
-    arguments : sequence of str, optional
-        Of the command line; those of this process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 1 where a bound is missed, with ``--smoke`` one that is judged there, or a check does not run.
     """
-    parser = argparse.ArgumentParser(prog=f"python -m accept.{table.replace('-', '_')}")
+    parser = argparse.ArgumentParser(prog=f"python -m accept.tables {table}")
     parser.add_argument("names", nargs="*", metavar="CHECK", help=", ".join(checks))
     parser.add_argument("--smoke", action="store_true", help="tiny cases: only bounds that hold there too are judged")
     parser.add_argument("--jobs", type=int, default=1, help="processes at a time of checks that count and do not time")
@@ -100,18 +75,7 @@ def run_table(table: str, checks: Mapping[str, Check], arguments: Sequence[str] 
 
 
 def runs_name(table: str) -> str:
-    """Give the result file of what a table's checks ran.
-
-    Parameters
-    ----------
-    table : str
-        Name of the table.
-
-    Returns
-    -------
-    str
-        For ``append_result``.
-    """
+    """Give the result file of what a table's checks ran."""
     return f"accept_{table.replace('-', '_')}_runs"
 
 

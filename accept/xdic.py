@@ -1,22 +1,20 @@
-"""The acceptance table of discontinuities: ``make accept-xdic``, a check alone with CHECK=NAME.
+"""Lines across a pair: uniform motions, shapes of the region, and the same jump by every solver.
 
 Pairs are exact: every side of a line shows the same speckle, moved by a displacement of its own. They have 16 bits and
-speckles of 1.6 times the reference size unless a row says otherwise.
+speckles of 1.6 times the reference size unless a row says otherwise. Under MPI, as python -m accept.xdic SIZE, the side
+of the images in pixels, rank 0 prints a JSON line for each solver and regularization.
 """
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 import ddic
-from accept.band import measure_band
-from accept.bolted import measure_bolted
-from accept.crack import measure_crack
-from accept.real_cracks import measure_failed_hole, measure_fracture
-from accept.slip import measure_slip
 from accept.support.opened_pair import (
     MARGIN,
     SIZE,
@@ -29,7 +27,7 @@ from accept.support.opened_pair import (
     straight_line,
 )
 from accept.support.settings import MONOLITHIC, describe_settings
-from accept.table import Check, Scale, run_table
+from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import run_job
 
@@ -49,18 +47,7 @@ RANKS, SMOKE_RANKS = (1, 2, 3, 4), (2,)
 
 
 def measure_uniform(scale: Scale) -> list[Row]:
-    """Measure uniform displacements with a line that does not open.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small image and one displacement.
-
-    Returns
-    -------
-    list of Row
-        With noise of 2 grey levels of 256, and without.
-    """
+    """Measure uniform displacements with a line that does not open."""
     size = SMOKE_SIZE if scale.smoke else SIZE
     shifts = SMOKE_SHIFTS if scale.smoke else SHIFTS
     rows = []
@@ -92,18 +79,7 @@ def measure_uniform(scale: Scale) -> list[Row]:
 
 
 def measure_shapes(scale: Scale) -> list[Row]:
-    """Measure two lines that cross a hole's surroundings, a polyline with a bend, and T3, beside one line on Q4.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes a small image.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Measure two lines that cross a hole's surroundings, a polyline with a bend, and T3, beside one line on Q4."""
     size, element = (SMOKE_SIZE, 32) if scale.smoke else (SIZE, 32)
     middle = size / 2
     jump = np.array([0.31, -0.22])
@@ -130,43 +106,44 @@ def measure_shapes(scale: Scale) -> list[Row]:
 
 
 def measure_solvers(scale: Scale) -> list[Row]:
-    """Compare dual and conjugate gradients with the assembled operator, the line crossing interfaces.
-
-    Parameters
-    ----------
-    scale : Scale
-        A smoke run takes two ranks.
-
-    Returns
-    -------
-    list of Row
-        One row.
-    """
+    """Compare dual and conjugate gradients with the assembled operator, the line crossing interfaces."""
     ranks = SMOKE_RANKS if scale.smoke else RANKS
-    records = [record for n in ranks for record in run_job(n, "accept.support.xdic_job", str(SMOKE_SIZE))]
+    records = [record for n in ranks for record in run_job(n, "accept.xdic", str(SMOKE_SIZE))]
     largest = max(record["difference_px"] for record in records)
     return [Row("dual and conjugate gradients against the assembled operator on 1-4 ranks, the line crosses "
                 "interfaces, with and without regularization", f"<= {SAME_PX:.0e} px",
                 f"{largest:.1e} px of {len(records)}", largest <= SAME_PX)]
 
 
-CHECKS: dict[str, Check] = {
-    "slip": measure_slip,
-    "bolted": measure_bolted,
-    "band": measure_band,
-    "crack": measure_crack,
-    "fracture": measure_fracture,
-    "failed_hole": measure_failed_hole,
-    "uniform": measure_uniform,
-    "shapes": measure_shapes,
-    "solvers": measure_solvers,
-}
+SOLVED_SLIP, SOLVED_ELEMENT, SOLVED_MARGIN, N_SUBDOMAINS = 0.6, 16, 20, 6
+"""Of the pair that all solvers measure: pixels; number of subdomains."""
+
+EXACT: dict[str, Any] = {"gauss_newton": {"tolerance": 1e-10, "rms_tolerance": 0, "largest_tolerance": 1e-8}}
+LINEAR: dict[str, Any] = {"subdomains": N_SUBDOMAINS, "inexact": False, "tolerance": 1e-11}
+REGULARIZATIONS: dict[str, dict[str, Any]] = {"none": {}, "64 px": {"regularization": {"cut_off_wavelength": 64}}}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure the table; 1 where a bound is missed."""
-    return run_table("xdic", CHECKS, arguments)
+def main(size: str) -> None:
+    """Measure one pair by all solvers."""
+    opened = straight_line(int(size), SOLVED_SLIP)
+    pair = render(opened, int(size))
+    side = SOLVED_ELEMENT * ((int(size) - 2 * SOLVED_MARGIN) // SOLVED_ELEMENT)
+    end = SOLVED_MARGIN + side
+    mesh = ddic.structured_mesh((SOLVED_MARGIN, SOLVED_MARGIN, end, end), SOLVED_ELEMENT)
+    points = np.random.default_rng(0).uniform(SOLVED_MARGIN, end, (5000, 2))
+    for opening in ("both", "tangential"):
+        for name, regularization in REGULARIZATIONS.items():
+            fields = {}
+            for method in ("assembled", "dual", "conjugate_gradient"):
+                settings = {**EXACT, **regularization, "solver": {"method": method, **LINEAR},
+                            "discontinuity": opened.sections(opening)}
+                fields[method] = ddic.measure(pair, mesh, options=settings).at(points)
+            for method in ("dual", "conjugate_gradient"):
+                difference = float(np.nanmax(np.abs(fields[method] - fields["assembled"])))
+                if MPI.COMM_WORLD.rank == 0:
+                    print(json.dumps({"method": method, "opening": opening, "regularization": name,
+                                      "ranks": MPI.COMM_WORLD.size, "difference_px": difference}), flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(*sys.argv[1:])

@@ -1,4 +1,4 @@
-"""List what docstrings of src/ddic lack: numpydoc's own checks, and shapes of arrays, attributes and errors.
+"""List what docstrings of src/ddic and accept lack: numpydoc's own checks, and shapes of arrays, attributes and errors.
 
 Usage: check_docstrings.py [files or folders]. The checks of numpydoc are those of [tool.numpydoc_validation] in
 pyproject.toml. Beyond them, of everything public:
@@ -9,7 +9,8 @@ pyproject.toml. Beyond them, of everything public:
 
 One sentence is enough for a property, for a method that its base class describes, for a command, whose docstring a user
 reads, and for "Return ..." of a function without parameters; and for every function that is neither offered by
-``import ddic`` nor a seam that others implement (DESCRIBED). Nothing is imported: files are parsed only.
+``import ddic`` nor a seam that others implement (DESCRIBED), those of accept among them. Nothing is imported: files are
+parsed only.
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ ARRAYS = ("NDArray", "ndarray", "csr_matrix", "csc_matrix", "bsr_matrix", "csr_a
 """Types in an annotation that have a shape."""
 SUMMARY_CHECKS = {"GL08", "SS01", "SS02", "SS03", "SS04", "SS06"}
 """All that is asked of what another docstring describes in full."""
-DESCRIBED = ("api", "calibration", "__init__.py", "kinematics/kinematics.py", "mesh/cell_type.py", "images/source.py",
-             "solvers/linear_step.py", "results/publishable.py", "methods/method.py")
+DESCRIBED = ("api/measure.py", "api/studies.py", "api/synthetic.py", "__init__.py",
+             "kinematics/kinematics.py", "mesh/cell_type.py", "images/source.py", "solvers/linear_step.py",
+             "results/publishable.py", "methods/method.py")
 """Folders and files of the package whose functions have sections, whatever their first sentence says."""
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
@@ -96,8 +98,8 @@ class Described:
 
 
 def main(arguments: list[str]) -> int:
-    """Print the violations of files or folders, by default of the package."""
-    places = [Path(argument).resolve() for argument in arguments] or [ROOT / "src" / "ddic"]
+    """Print the violations of files or folders, by default of the package and of acceptance."""
+    places = [Path(argument).resolve() for argument in arguments] or [ROOT / "src" / "ddic", ROOT / "accept"]
     files = [file for place in places for file in (sorted(place.rglob("*.py")) if place.is_dir() else [place])]
     violations = list(check_files(files))
     for violation in violations:
@@ -160,10 +162,10 @@ def check(described: Described, file: Path, classes: dict[str, ast.ClassDef], ch
 
 
 def is_internal(described: Described, file: Path) -> bool:
-    """Tell whether a function of the package is neither offered to users nor a seam."""
+    """Tell whether a function of the package or of acceptance is neither offered to users nor a seam."""
     package = ROOT / "src" / "ddic"
     if isinstance(described.node, ast.ClassDef) or not file.is_relative_to(package):
-        return False
+        return isinstance(described.node, FUNCTIONS) and file.is_relative_to(ROOT / "accept")
     within = file.relative_to(package)
     return not any(within.is_relative_to(place) for place in DESCRIBED)
 

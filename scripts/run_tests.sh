@@ -49,7 +49,8 @@ run_alone() { # pytest arguments
     local start=$SECONDS code=0 marked="not parallel or parallel[1]"
     if ((whole)); then marked="($marked) and not program"; fi
     printf '\n== serial tests, and parallel ones on 1 rank\n'
-    "${PYTEST[@]}" -n auto -m "$marked" "$@" || code=$?
+    # A file in one process: what its tests share is made once.
+    "${PYTEST[@]}" -n auto --dist loadfile -m "$marked" "$@" || code=$?
     record "1 rank" "$code" "$((SECONDS - start))"
 }
 
@@ -57,8 +58,9 @@ run_ranks() { # number of ranks, pytest arguments
     local n="$1" start=$SECONDS code=0
     shift
     local marked="parallel and parallel[$n]"
-    # Every rank reads what it may have to run: of the whole suite, the files with parallel tests alone.
-    if ((whole)); then mapfile -t < <(grep -rl --include='test_*.py' 'mark\.parallel' tests) && set -- "${MAPFILE[@]}"; fi
+    # Every rank reads what it may have to run: of the whole suite, the files that name this number of ranks.
+    local named="(^RANKS = |mark\.parallel\()[^)]*\b$n\b"
+    if ((whole)); then mapfile -t < <(grep -rlE --include='test_*.py' "$named" tests) && set -- "${MAPFILE[@]}"; fi
     printf '\n== parallel tests on %s ranks\n' "$n"
     "$MPIEXEC" -n "$n" bash scripts/rank_output.sh "$logs/$n" \
         python -m mpi4py "${PYTEST[@]:1}" -p no:cacheprovider -m "$marked" "$@" || code=$?

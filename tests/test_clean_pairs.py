@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from accept.source_rules import count_code_lines
-from accept.support.clean_fields import find_origins
+from accept.support.clean_fields import TAIL, draw_speckles, find_moments, find_origins
 from accept.support.clean_pairs import FIELDS, SMALL, SPECKLES, Compared, list_cases
-from accept.support.gaussian_speckles import TAIL, draw_speckles, find_moments
 
 
 @pytest.mark.parametrize("size", SPECKLES)

@@ -11,11 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from accept.support.compare_prints import NUMBER, find_differences
+from accept.support.follow_page import NUMBER, find_differences
 
 pytestmark = pytest.mark.program
 
 ROOT = Path(__file__).parents[1]
+
+of_the_tour = pytest.mark.xdist_group("tour")
+"""On one process, so that the demo is run once."""
+
 SECONDS = 240
 """Far above the few seconds of an example: a limit for hangs, not for slow machines."""
 
@@ -87,6 +91,7 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, run_example("demo", folder / "tour")
 
 
+@of_the_tour
 def test_demo_error_is_the_noise_floor(tour: tuple[Path, str]) -> None:
     rms, _ = numbers_after("RMS error against the known field: ", tour[1])
     sigma, floor, ratio = numbers_after("noise floor, sigma = ", tour[1])
@@ -98,6 +103,7 @@ def test_demo_error_is_the_noise_floor(tour: tuple[Path, str]) -> None:
     assert rms == pytest.approx(ratio * floor, rel=0.01)
 
 
+@of_the_tour
 def test_demo_leaves_the_files_of_the_tour(tour: tuple[Path, str]) -> None:
     for name in ("result.vtkhdf", "result.json", "result.residual.vtkhdf"):
         assert (tour[0] / "tour" / name).is_file()
@@ -105,6 +111,7 @@ def test_demo_leaves_the_files_of_the_tour(tour: tuple[Path, str]) -> None:
         assert (tour[0] / "tour" / "pictures" / f"result.{kind}.png").stat().st_size > 10_000
 
 
+@of_the_tour
 def test_check_prints_what_the_tour_shows(tour: tuple[Path, str]) -> None:
     shown = next(block for block in code_blocks("README.md", "text") if "ddic check" in block)
     printed = run(["ddic", "check", "tour/case.toml"], tour[0])
@@ -113,6 +120,7 @@ def test_check_prints_what_the_tour_shows(tour: tuple[Path, str]) -> None:
             == [line for line in shown.splitlines()[1:] if not line.startswith("result")])
 
 
+@of_the_tour
 def test_python_of_the_tour_prints_what_the_tour_shows(tour: tuple[Path, str]) -> None:
     code, *_ = code_blocks("README.md", "python")
     shown = next(block for block in code_blocks("README.md", "text") if block.startswith("u_y = "))
@@ -123,6 +131,7 @@ def test_python_of_the_tour_prints_what_the_tour_shows(tour: tuple[Path, str]) -
     assert numbers(printed) == pytest.approx(numbers(shown), abs=2e-3)
 
 
+@of_the_tour
 @pytest.mark.parametrize("number", range(3))
 def test_python_of_the_result_file_document_runs(tour: tuple[Path, str], number: int) -> None:
     code = code_blocks("docs/result-file.md", "python")[number]

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from accept.followed_pages import list_pages
-from accept.support.compare_prints import find_differences
-from accept.support.follow_page import Followed, follow_page
-from accept.support.page_blocks import read_blocks, read_script
+from accept.pages import list_pages
+from accept.support.follow_page import Followed, find_differences, follow_page, read_blocks, read_script
 
 ROOT = Path(__file__).parents[1]
 PAGES = [page for page in list_pages() if page.endswith(".md")]

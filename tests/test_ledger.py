@@ -11,9 +11,9 @@ import pytest
 
 from accept import all_tables, ledger, smoke, table
 from accept.all_tables import Stale
-from accept.documents import measure_equations
 from accept.ledger import Entry, forget_all_but, keep_rows, read_ledger
 from accept.near_far import measure_dual
+from accept.pages import measure_equations
 from accept.support.code_of_check import choose, find_changed, find_code, find_uncommitted
 from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Check, Scale, run_table
@@ -171,7 +171,7 @@ def test_only_what_is_missing_or_stale_is_measured(monkeypatch: pytest.MonkeyPat
 
 def test_a_check_runs_what_it_imports_starts_and_reads() -> None:
     code = find_code(partial(measure_dual))
-    assert {"accept/near_far.py", "accept/support/near_far_job.py", "accept/support/near_far_oracle.py",
+    assert {"accept/near_far.py", "accept/support/near_far_job.py",
             "src/ddic/cli/run.py", "src/ddic/solvers/__init__.py"} <= code
     assert "accept/ledger.py" not in code
     pages = find_code(measure_equations)

@@ -9,14 +9,12 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from accept.bad_inputs import FEWEST_KINDS, choose_sample, list_bad_inputs
-from accept.trials.judge import judge_codes, judge_end, judge_refusal, look_at
-from accept.trials.mutants import DAMAGED
-from accept.trials.mutate import MUTATIONS, mutate
-from accept.trials.schema_trials import list_schema_trials
+from accept.trials.case_trials import list_schema_trials
+from accept.trials.mutants import DAMAGED, MUTATIONS, mutate
 from accept.trials.trial import Raw, Trial, change, write_toml
+from accept.trials.try_all import judge_codes, judge_end, judge_refusal, look_at
 from accept.trials.watched_worker import HUNG, Ended
-from ddic.case.loader import find_section_in
-from ddic.case.schema import Case
+from ddic.case.schema import Case, find_section_in
 from ddic.cli.app import COMMANDS
 
 GOOD = Ended(2, "", "case.toml: what is wrong\n", 0, 0.1)

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ddic
-from accept.support import gaussian_speckles
+from accept.support import clean_fields
 from accept.support.clean_fields import (
     Motion,
+    draw_speckles,
     find_origins,
     make_crack,
     make_hole,
@@ -29,7 +30,6 @@ from accept.support.clean_fields import (
     make_turned_waves,
     make_waves,
 )
-from accept.support.gaussian_speckles import draw_speckles
 from bench.support.runs import DATA
 
 Array = NDArray[np.float64]
@@ -200,7 +200,7 @@ def _digest(case: CleanCase) -> str:
     width, height = case.size
     points = np.random.default_rng(0).random((20, 2)) * [width, height]
     moved = case.make_motion()(points).round(6)
-    texture = Path(gaussian_speckles.__file__).read_bytes()
+    texture = Path(clean_fields.__file__).read_bytes()
     drawn = [str((case.size, case.noise, case.speckle)).encode(), moved.tobytes(), texture]
     return hashlib.sha256(b"".join(drawn)).hexdigest()[:16]
 
@@ -325,18 +325,7 @@ MORE_ITERATIONS = 1.5
 
 
 def compare(case: CleanCase) -> Compared:
-    """Measure a pair by defaults and with every pixel kept.
-
-    Parameters
-    ----------
-    case : CleanCase
-        What of.
-
-    Returns
-    -------
-    Compared
-        Both.
-    """
+    """Measure a pair by defaults and with every pixel kept."""
     pair, mesh = draw_pair(case), case.make_mesh()
     truth = case.make_motion()(mesh.nodes)
     found, refused = [], []
@@ -378,20 +367,7 @@ def _largest(off: Array) -> float:
 
 
 def compare_all(cases: Sequence[CleanCase], file: Path | None = None) -> Iterator[Compared]:
-    """Measure pairs, one after the other.
-
-    Parameters
-    ----------
-    cases : sequence of CleanCase
-        Which.
-    file : Path, optional
-        Where a JSON line is appended for each.
-
-    Yields
-    ------
-    Compared
-        Of each.
-    """
+    """Measure pairs, one after the other."""
     for case in cases:
         compared = compare(case)
         if file is not None:

@@ -32,53 +32,27 @@ LEDGER = "accept/ledger.json"
 """Which is no code, though a folder that is read may hold it."""
 
 READ: Mapping[str, tuple[str, ...]] = {
-    "accept.demo_noise": ("examples/demo",),
-    "accept.documents": ("docs", "examples", "mkdocs.yml", "scripts/check_docstrings.py", "tests/test_equations.py"),
-    "accept.followed_pages": ("docs", "examples", "scripts", "README.md", "CONTRIBUTING.md", "Makefile"),
-    "accept.image_forms": ("examples/demo",),
-    "accept.jpeg_pairs": ("examples/demo",),
+    "accept.demo_pairs": ("examples/demo",),
     "accept.kinematics": ("examples",),
+    "accept.pages": ("docs", "examples", "scripts", "README.md", "CONTRIBUTING.md", "Makefile", "mkdocs.yml",
+                     "tests/test_equations.py"),
     "accept.paper_pictures": ("examples/near_far",),
     "accept.recorded": ("accept/recorded",),
+    "accept.slurm_job": ("scripts",),
     "accept.smoke": ("accept", "bench"),
     "accept.source_rules": ("src/ddic",),
-    "accept.support.job_script": ("scripts",),
 }
 """What modules read beside what they import."""
 
 
 def find_code(check: Callable[..., object]) -> frozenset[str]:
-    """Find all files that a check runs or reads.
-
-    Parameters
-    ----------
-    check : callable
-        Of a table.
-
-    Returns
-    -------
-    frozenset of str
-        Files, and folders for all that they hold, by their path in the repository.
-    """
+    """Find all files that a check runs or reads."""
     return _code_of(_defining_module(check))
 
 
 @cache
 def find_changed(commit: str, root: Path = ROOT) -> frozenset[str] | None:
-    """Find the files that differ between a commit and the last one of this branch.
-
-    Parameters
-    ----------
-    commit : str
-        Hexadecimal digits.
-    root : Path
-        The repository.
-
-    Returns
-    -------
-    frozenset of str or None
-        Their paths in the repository; None where that commit is not part of it.
-    """
+    """Find the files that differ between a commit and the last one of this branch."""
     try:
         return _compare(root, commit, "HEAD")
     except subprocess.CalledProcessError:
@@ -86,51 +60,20 @@ def find_changed(commit: str, root: Path = ROOT) -> frozenset[str] | None:
 
 
 def find_uncommitted(commit: str = "HEAD", root: Path = ROOT) -> frozenset[str]:
-    """Find the files that differ between a commit and the working tree, or are not part of the repository yet.
-
-    Parameters
-    ----------
-    commit : str
-        The last one by default.
-    root : Path
-        The repository.
-
-    Returns
-    -------
-    frozenset of str
-        Their paths.
-    """
+    """Find the files that differ between a commit and the working tree, or are not part of the repository yet."""
     new = _git(root, "ls-files", "--others", "--exclude-standard").splitlines()
     return _compare(root, commit, None) | frozenset(new)
 
 
 def choose(files: frozenset[str], code: frozenset[str]) -> list[str]:
-    """Choose the files that are part of some code.
-
-    Parameters
-    ----------
-    files : frozenset of str
-        Paths of files.
-    code : frozenset of str
-        As ``find_code`` gives it.
-
-    Returns
-    -------
-    list of str
-        In order of the alphabet.
-    """
+    """Choose the files that are part of some code."""
     return sorted(file for file in files - {LEDGER} if code & {file, *map(str, Path(file).parents)})
 
 
 def _defining_module(check: Callable[..., object]) -> str:
     while isinstance(check, partial):
         check = check.func
-    module = check.__module__
-    if module != "__main__":
-        return module
-    # The table that is run as a program.
-    path = Path(check.__code__.co_filename).resolve().relative_to(ROOT)
-    return ".".join(path.with_suffix("").parts)
+    return check.__module__
 
 
 @cache

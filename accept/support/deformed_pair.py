@@ -1,18 +1,25 @@
-"""Exact pairs of large deformations, what is measured on them, and the noise floor that can be reached."""
+"""Exact pairs of large deformations, frames of a motion that grows, what is measured, and the noise floor."""
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 import ddic
 from accept.support.opened_pair import picture
+from bench.support.runs import source_version
 from ddic.functionals.correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
@@ -41,7 +48,7 @@ class Deformation:
     displacement: Callable[[Array], Array]
 
     def gradient(self, points: Array) -> Array:
-        """du_i/dx_j at points (n, 2), (n, 2, 2)."""
+        """Displacement gradient du_i/dx_j at points (n, 2), (n, 2, 2)."""
         columns = []
         for axis in range(2):
             step = np.zeros(2)
@@ -116,20 +123,7 @@ def make_rotation(degrees: float, scale: float = 1.0) -> Array:
 
 
 def render_deformed(deformation: Deformation, camera: Camera) -> Pair:
-    """Draw both images, without interpolation.
-
-    Parameters
-    ----------
-    deformation : Deformation
-        Of the reference image.
-    camera : Camera
-        What the pictures are like.
-
-    Returns
-    -------
-    reference, deformed : (height, width) array
-        uint8 or uint16.
-    """
+    """Draw both images, without interpolation."""
     width, height = camera.size
     texture, random = SpeckleTexture(camera.seed, size_factor=camera.speckle), np.random.default_rng(camera.seed)
     y, x = np.mgrid[0:height, 0:width].astype(float)
@@ -226,3 +220,94 @@ def predict_floor(pair: Pair, mesh: ddic.Mesh, deformation: Deformation, noise: 
     factor = splu(moved.assemble_hessian().tocsc())
     diagonal = np.diag(factor.solve(np.eye(mesh.n_dofs)))
     return float(np.sqrt(2 * noise**2 * diagonal.mean()))
+
+
+NOISE = 1.0
+"""Standard deviation of the images' noise, grey levels."""
+
+REPEATABLE = '[solver]\nmethod = "dual"\n'
+"""Settings of two runs that are compared bit by bit. Left open, small cases on several ranks are given to MUMPS, which
+adds up what ranks send in the order in which it comes: its last bits differ between any two runs."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """A series of frames.
+
+    Attributes
+    ----------
+    size : (width, height)
+        Pixels.
+    n_frames : int
+        Deformed images.
+    largest : float
+        Displacement in the last one, pixels.
+    """
+
+    size: tuple[int, int]
+    n_frames: int
+    largest: float
+
+    def make_deformation(self, number: int) -> Deformation:
+        """Make the deformation of a frame."""
+        share = self.largest * number / self.n_frames
+        centre = np.array(self.size) / 2
+
+        def displacement(points: Array) -> Array:
+            x, y = ((points - centre) / centre).T
+            along, across = 0.7 * np.sin(1.4 * x) + 0.2 * np.cos(2 * y), 0.5 * y * np.cos(x)
+            return np.asarray(share * np.stack([along, across], axis=1))
+
+        return Deformation(displacement)
+
+
+def write_frames(frames: Frames, folder: Path) -> None:
+    """Write the images that are not there already: reference.tif and frame_1.tif, frame_2.tif, ..."""
+    stamp = folder / "frames.json"
+    wanted = json.dumps([asdict(frames), source_version()])
+    if not stamp.is_file() or stamp.read_text(encoding="utf-8") != wanted:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        stamp.write_text(wanted, encoding="utf-8")
+    missing = [number for number in range(frames.n_frames + 1) if not _name(folder, number).is_file()]
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        list(pool.map(partial(_write_frame, frames, folder), missing))
+
+
+def _name(folder: Path, number: int) -> Path:
+    return folder / (f"frame_{number}.tif" if number else "reference.tif")
+
+
+def _write_frame(frames: Frames, folder: Path, number: int) -> None:
+    reference, deformed = render_deformed(frames.make_deformation(number), Camera(frames.size, NOISE))
+    path = _name(folder, number)
+    unfinished = path.with_suffix(".unfinished")
+    tifffile.imwrite(unfinished, deformed if number else reference)
+    unfinished.rename(path)
+
+
+def describe_case(frames: Frames, element: float) -> str:
+    """Give the case of a series.
+
+    Parameters
+    ----------
+    frames : Frames
+        Of the images.
+    element : float
+        Side of the elements, pixels.
+
+    Returns
+    -------
+    str
+        TOML text without ``[output]``.
+    """
+    margin = 2 * element
+    region = [margin, margin, frames.size[0] - margin, frames.size[1] - margin]
+    return f"""
+[images]
+reference = "reference.tif"
+deformed = "frame_*.tif"
+[mesh.structured]
+region = {region}
+element_size = {element}
+"""

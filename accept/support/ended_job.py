@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -15,8 +16,24 @@ from typing import IO
 
 import psutil
 
-from accept.support.launcher_lines import drop_launcher_lines
 from bench.support.runs import environment, images
+
+_OF_LAUNCHER = re.compile(r"\[[^\]]+:\d+\] |(mpi\w+|\(null\)): (Forwarding signal |abort is already)|\[warn\] Epoll ")
+"""Open MPI names host and process, or the launcher, which now and then is ``(null)``; libevent within it warns."""
+
+_RULE = "-" * 40
+
+
+def drop_launcher_lines(text: str) -> list[str]:
+    """Keep the lines of the ranks."""
+    kept, quoted = [], False
+    for line in text.splitlines():
+        if line.startswith(_RULE):
+            quoted = not quoted
+        elif line.strip() and not quoted and not _OF_LAUNCHER.match(line):
+            kept.append(line)
+    return kept
+
 
 DDIC = (sys.executable, "-m", "ddic")
 """The command line of the source that is measured, whatever is installed beside the interpreter."""
@@ -37,18 +54,7 @@ CASE = ('[images]\nreference = "images/reference.tif"\ndeformed = "images/deform
 
 
 def prepare_case(folder: Path) -> Path:
-    """Make a small pair and its case file.
-
-    Parameters
-    ----------
-    folder : Path
-        Of both.
-
-    Returns
-    -------
-    Path
-        The case file; its result is ``result.vtkhdf`` beside it.
-    """
+    """Make a small pair and its case file."""
     images("translation", "--vector", "1.3", "-0.7", "--size", "240x240", "--seed", "3", folder=folder / "images")
     path = folder / "case.toml"
     path.write_text(CASE, encoding="utf-8")
@@ -112,13 +118,7 @@ class Job:
         self._said.close()
 
     def list_ranks(self) -> list[psutil.Process]:
-        """List the processes of the ranks that have been started, by rank.
-
-        Returns
-        -------
-        list of Process
-            Fewer than ranks where not all have been started yet.
-        """
+        """List the processes of the ranks that have been started, by rank."""
         if self._n_ranks == 0:
             alone: psutil.Process = self.process
             return [alone]
@@ -129,13 +129,7 @@ class Job:
         return []
 
     def is_running(self) -> bool:
-        """Tell whether the launcher, or the command alone, runs.
-
-        Returns
-        -------
-        bool
-            False where it has ended.
-        """
+        """Tell whether the launcher, or the command alone, runs."""
         return self.process.poll() is None
 
     def wait(self) -> Ended:
@@ -172,16 +166,5 @@ class Job:
 
 
 def list_hidden(folder: Path) -> list[str]:
-    """List what a run that was ended has left beside its result: files whose names begin with a dot.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the result.
-
-    Returns
-    -------
-    list of str
-        Their names.
-    """
+    """List what a run that was ended has left beside its result: files whose names begin with a dot."""
     return sorted(path.name for path in folder.iterdir() if path.name.startswith("."))

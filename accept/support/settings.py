@@ -15,19 +15,7 @@ INPUTS = frozenset({"images", "near", "mesh", "output"})
 
 
 def describe_settings(case: Mapping[str, Any] | str) -> str:
-    """Tell the settings of a case in the words of its file.
-
-    Parameters
-    ----------
-    case : mapping or str
-        Sections by name, each with keys and values, or the text of a case file; what is no such section, lines for
-        instance, is left out.
-
-    Returns
-    -------
-    str
-        ``solver.method = "dual", ...``.
-    """
+    """Tell the settings of a case in the words of its file."""
     sections = tomllib.loads(case) if isinstance(case, str) else case
     return ", ".join(f"{section}.{key} = {json.dumps(value)}" for section, keys in sections.items()
                      if isinstance(keys, Mapping) and section not in INPUTS for key, value in keys.items())

@@ -27,15 +27,7 @@ reading of both images to bin them is part of it."""
 
 
 def measure_start(team: Team, path: Path) -> None:
-    """Measure a case; collective.
-
-    Parameters
-    ----------
-    team : Team
-        Ranks.
-    path : Path
-        The case file.
-    """
+    """Measure a case; collective."""
     clock = PhaseClock(waiting=team.waiting)
     inputs, frame = open_inputs(team, load_case(path))
     team.wait_for_all()

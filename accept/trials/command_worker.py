@@ -33,13 +33,7 @@ STDOUT, STDERR = "stdout", "stderr"
 
 
 def serve(requests: int, answers: int) -> None:
-    """Run commands until no request comes.
-
-    Parameters
-    ----------
-    requests, answers : int
-        File descriptors.
-    """
+    """Run commands until no request comes."""
     # Who asks may be killed, and this process hang: neither would end the other.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     for name in ("check", "crack", "info", "plot", "probe", "report", "run", "sweep"):
@@ -65,14 +59,14 @@ def _answer(request: Mapping[str, Any]) -> dict[str, int]:
 
 def _run(arguments: list[str]) -> int:
     """Run one command as its process would; returns the exit code."""
-    from ddic.cli.app import main
+    from ddic.cli.app import command_line
 
     # What an earlier command was warned of would not be said again.
     warnings.resetwarnings()
     for module in list(sys.modules.values()):
         getattr(module, "__warningregistry__", {}).clear()
     try:
-        main.main(arguments, prog_name="ddic")
+        command_line.main(arguments, prog_name="ddic")
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:

@@ -14,8 +14,19 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from accept.trials.good_case import NEAR, OF_MESH_FILE, PAIR, REGULARIZED, SIDE
-from accept.trials.trial import CASE_FILE, ON_CASE, Expected, Keys, Trial, change
+from accept.trials.trial import (
+    CASE_FILE,
+    NEAR,
+    OF_MESH_FILE,
+    ON_CASE,
+    PAIR,
+    REGULARIZED,
+    SIDE,
+    Expected,
+    Keys,
+    Trial,
+    change,
+)
 
 Pixels = NDArray[Any]
 Write = Callable[[Path], None]
@@ -29,24 +40,12 @@ LARGE_PNG, LARGE_TIFF = 30_000, 100_000
 
 
 def list_file_trials() -> list[Trial]:
-    """List files that are wrong in themselves, or do not go with the others.
-
-    Returns
-    -------
-    list of Trial
-        By kind of file.
-    """
+    """List files that are wrong in themselves, or do not go with the others."""
     return [*_list_images(), *_list_meshes(), *_list_texts(), *_list_case_files()]
 
 
 def list_large_images() -> list[Trial]:
-    """List pairs of large images with meshes all over them.
-
-    Returns
-    -------
-    list of Trial
-        A PNG, which can only be decoded whole, and a TIFF of zeros, which shows nothing wherever it is looked at.
-    """
+    """List pairs of large images with meshes all over them."""
     return [_large_pair("a PNG of 30,000 x 30,000", LARGE_PNG),
             _large_pair("a sparse TIFF of 100,000 x 100,000", LARGE_TIFF)]
 
@@ -59,13 +58,7 @@ def _large_pair(name: str, side: int) -> Trial:
 
 
 def list_uncoded_images() -> list[Trial]:
-    """List images that are intact, and whose codec is not installed with ddic.
-
-    Returns
-    -------
-    list of Trial
-        One.
-    """
+    """List images that are intact, and whose codec is not installed with ddic."""
     name = "an intact TIFF of zstandard"
     edit = partial(_write_image, "reference.tif", IMAGES[name][0], "odd.tif")
     return [Trial(name, change(PAIR, ("images", "reference"), "odd.tif"), (edit,), (*ON_CASE, ("info", "odd.tif")),

@@ -11,8 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from accept.trials.good_case import PAIR
-from accept.trials.trial import CASE_FILE, Trial, change
+from accept.trials.trial import CASE_FILE, PAIR, Trial, change
 
 ODD = "odd.vtkhdf"
 GRID = ("Points", "Types", "Offsets", "Connectivity", "NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds")
@@ -92,13 +91,7 @@ TEXTS: Mapping[str, Any] = {
 
 
 def list_result_trials() -> list[Trial]:
-    """List damaged results.
-
-    Returns
-    -------
-    list of Trial
-        By the result that is damaged.
-    """
+    """List damaged results."""
     return [*_list_datasets(), *_list_attributes(), *_list_points(), *_list_others()]
 
 

@@ -1,4 +1,4 @@
-"""Tries inputs one after the other and says what was wrong with each."""
+"""Tries bad inputs and damaged files one after the other, and judges whether each command ended as it should."""
 
 from __future__ import annotations
 
@@ -8,16 +8,80 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from accept.support.launcher_lines import drop_launcher_lines
-from accept.trials.good_case import make_good_folder
-from accept.trials.judge import judge_codes, judge_end, judge_refusal, look_at
-from accept.trials.trial import Trial
+from accept.support.ended_job import drop_launcher_lines
+from accept.trials.trial import Trial, make_good_folder
 from accept.trials.watched_worker import HUNG, LIMIT_S, Ended, Worker
 from bench.support.runs import environment
+
+MOST_BYTES = 2 << 30
+"""Memory of a command."""
+
+REFUSED, MEASURED, NOT_CONVERGED = 2, 0, 1
+WANTED: Mapping[str, tuple[int, ...]] = {
+    "refused": (REFUSED,), "refused or measured": (REFUSED, MEASURED), "may fail": (REFUSED, MEASURED, NOT_CONVERGED),
+}
+MOST_CHARACTERS = 6000
+"""Of all that is said of one mistake: a name may be 4096 long."""
+
+State = Mapping[str, tuple[int, int]]
+
+
+def look_at(folder: Path) -> State:
+    """List what a folder holds."""
+    return {str(path.relative_to(folder)): (path.lstat().st_size, path.lstat().st_mtime_ns)
+            for path in folder.rglob("*")}
+
+
+def judge_end(ended: Ended) -> list[str]:
+    """Find what no command may do, whatever it is given."""
+    if ended.code == HUNG:
+        return [f"still there after {LIMIT_S:g} s"]
+    if ended.code < 0:
+        return [f"ended by signal {-ended.code}"]
+    faults = [f"exit code {ended.code}"] if ended.code not in (REFUSED, MEASURED, NOT_CONVERGED) else []
+    if "Traceback" in ended.stderr or "Traceback" in ended.stdout:
+        last = next((line for line in reversed(ended.stderr.splitlines()) if line.strip()), "")
+        faults.append(f"a traceback: {last[:200]}")
+    if ended.peak > MOST_BYTES:
+        faults.append(f"{ended.peak / 2**30:.1f} GiB")
+    return faults
+
+
+def judge_refusal(trial: Trial, ended: Ended, before: State, after: State) -> list[str]:
+    """Find what is wrong with a refusal."""
+    faults = []
+    lines = list_mistakes(ended.stderr)
+    if not 1 <= len(lines) <= trial.n_mistakes:
+        faults.append(f"{len(lines)} lines: {' | '.join(line[:120] for line in lines[:4])}")
+    if len(ended.stderr) > MOST_CHARACTERS:
+        faults.append(f"{len(ended.stderr)} characters are said")
+    changed = sorted(name for name in {*before, *after} if before.get(name) != after.get(name))
+    if ended.code == REFUSED and changed:
+        faults.append(f"written: {', '.join(changed[:5])}")
+    return faults
+
+
+def list_mistakes(stderr: str) -> list[str]:
+    """List the lines that tell of a mistake: not warnings."""
+    return [line for line in stderr.splitlines() if line.strip() and not line.startswith("warning: ")]
+
+
+def judge_codes(trial: Trial, codes: Sequence[int]) -> Iterable[str]:
+    """Find whether commands agree with what is expected and with one another."""
+    if trial.expected == "ends":
+        return
+    for command, code in zip(trial.commands, codes, strict=False):
+        wanted = WANTED[trial.expected]
+        if code not in wanted and code >= 0:
+            yield f"{command[0]}: exit code {code}, {' or '.join(map(str, wanted))} expected"
+    by_name = {command[0]: code for command, code in zip(trial.commands, codes, strict=False)}
+    if "check" in by_name and "run" in by_name and (by_name["check"] == REFUSED) != (by_name["run"] == REFUSED):
+        yield f"check ends with {by_name['check']}, run with {by_name['run']}"
+
 
 OF_LAUNCHER_S = 20.0
 """Seconds more for what starts in processes of its own."""
@@ -50,22 +114,7 @@ Run = Callable[[Path, Sequence[str], Trial], Ended]
 
 
 def try_all(trials: Sequence[Trial], folder: Path, jobs: int = 1) -> list[Verdict]:
-    """Try inputs in processes that stay, several at a time.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        What to try.
-    folder : Path
-        For the good case and its changed copies.
-    jobs : int, optional
-        Processes at a time.
-
-    Returns
-    -------
-    list of Verdict
-        In the order of the trials.
-    """
+    """Try inputs in processes that stay, several at a time."""
     good = make_good_folder(folder / "good")
     left: queue.SimpleQueue[tuple[int, Trial]] = queue.SimpleQueue()
     for numbered in enumerate(trials):
@@ -93,22 +142,7 @@ def try_all(trials: Sequence[Trial], folder: Path, jobs: int = 1) -> list[Verdic
 
 
 def try_apart(trials: Sequence[Trial], folder: Path, n_ranks: int) -> list[Verdict]:
-    """Try inputs as a user does, each command as processes of its own.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        What to try.
-    folder : Path
-        For the good case and its changed copies.
-    n_ranks : int
-        MPI ranks of ``run``; 0 starts it without a launcher.
-
-    Returns
-    -------
-    list of Verdict
-        In the order of the trials.
-    """
+    """Try inputs as a user does, each command as processes of its own."""
     good = make_good_folder(folder / "good")
 
     def run(inside: Path, arguments: Sequence[str], trial: Trial) -> Ended:
@@ -132,24 +166,7 @@ def _run_apart(command: Sequence[str], inside: Path, trial: Trial) -> Ended:
 
 
 def try_one(trial: Trial, good: Path, place: Path, run: Run) -> Verdict:
-    """Try one input in a fresh copy of the good case.
-
-    Parameters
-    ----------
-    trial : Trial
-        What to try.
-    good : Path
-        The good case.
-    place : Path
-        Folder of the copy, and of what is printed.
-    run : callable
-        Runs one command.
-
-    Returns
-    -------
-    Verdict
-        What came of it.
-    """
+    """Try one input in a fresh copy of the good case."""
     shutil.rmtree(place, ignore_errors=True)
     inside = place / "inside"
     shutil.copytree(good, inside)

@@ -68,22 +68,7 @@ class Worker:
         self._end()
 
     def run(self, folder: Path, arguments: Sequence[str], variables: Mapping[str, str] | None = None) -> Ended:
-        """Run a command.
-
-        Parameters
-        ----------
-        folder : Path
-            In which it runs; what it prints goes to two files beside that folder.
-        arguments : sequence of str
-            Of ``ddic``.
-        variables : mapping, optional
-            Of the environment.
-
-        Returns
-        -------
-        Ended
-            How it ended.
-        """
+        """Run a command."""
         if self._n_commands >= MOST_COMMANDS:
             self._end()
         began = time.perf_counter()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from petsc4py import PETSc
 
-from ddic.cli.app import main
+from ddic.cli.app import command_line
 from ddic.solvers import petsc
 from ddic.solvers.local_operator import MISSING_PACKAGE
 
@@ -60,4 +60,4 @@ def take_away(*absent: str) -> None:
 if __name__ == "__main__":
     take_away(*sys.argv[1].split(","))
     sys.argv = ["ddic", *sys.argv[2:]]
-    main()
+    command_line()

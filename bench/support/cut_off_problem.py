@@ -25,6 +25,7 @@ from ddic.parallel.team import require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
 from ddic.problem.region_mesh import RegionMesh, build_material
+from ddic.problem.views import project_hessians
 from ddic.solvers.local_system import LocalSystem
 
 
@@ -99,7 +100,7 @@ def read_texture(case: Case) -> TexturedMesh:
         raise ValueError("the case has no regularization")
     problem = prepare_step(ALONE, case)
     right = problem.right_hand_sides([np.zeros(s.n_unknowns) for s in problem.subdomains])
-    hessians = [reference.project(m) for reference, m in zip(problem.references, problem.hessians, strict=True)]
+    hessians = project_hessians(problem.reference.views, problem.hessians)
     stiffnesses = [weighted_stiffness(s, case.regularization, _weights(s)) for s in problem.subdomains]
     return TexturedMesh(require_held(problem.whole), problem.subdomains, hessians, right, stiffnesses)
 

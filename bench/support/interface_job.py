@@ -26,6 +26,7 @@ from bench.support.step_problem import factorize
 from bench.support.tiled_texture import TiledProblem
 from ddic.kinematics.nodal import NodalRegion
 from ddic.parallel.distribution import scatter_subdomains
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_metis
@@ -33,8 +34,8 @@ from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.gauss_newton import SHARE
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.local_operator import LocalOperator
@@ -55,7 +56,7 @@ PETSC = {
 """Options (prefix bench_) of the solvers on the assembled operator. Four smoothing steps instead of GAMG's two:
 A is of fourth order, and with two it took over a thousand iterations on 13 000 unknowns at l_c = 32 elements."""
 
-Field = tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]
+Values = tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]
 """Numbers of unknowns and their values; what neighbours share may occur twice."""
 
 
@@ -80,7 +81,7 @@ class Laps:
 
 
 def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | None, laps: Laps,
-           ) -> tuple[dict[str, Any], Field]:
+           ) -> tuple[dict[str, Any], Values]:
     """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
     count = max(round((problem.n / per_subdomain) ** 2), 2) if per_subdomain else team.size
 
@@ -103,9 +104,10 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
     operators = laps.time("factorize", lambda: factorize(assembly) if solver in DUAL else [])
     step = laps.time("interface", lambda: make_step(team, solver, assembly, operators))
     n_interface = step.n_interface if isinstance(step, DualStep) else 0
-    result = laps.time("solve", lambda: step.solve([np.zeros(len(b)) for b in right], right))
+    at_rest = Field.zero(team, subdomains)
+    result = laps.time("solve", lambda: step.solve(at_rest, at_rest.with_parts(right)))
     # As Gauss-Newton asks for a step: no further than its own progress.
-    later = laps.time("inexact", lambda: step.solve([np.zeros(len(b)) for b in right], next_right,
+    later = laps.time("inexact", lambda: step.solve(at_rest, at_rest.with_parts(next_right),
                                                     AllowedError(rms=0.0, share=SHARE)))
     laps.seconds |= {f"setup_{k}": laps.seconds[f"factorize_{k}"] + laps.seconds[f"interface_{k}"]
                      for k in ("cpu", "wall")}
@@ -114,7 +116,7 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
         operator.destroy()
     found = {"n_subdomains": count, "n_interface": n_interface, "iterations": result.krylov_iterations,
              "inexact_iterations": later.krylov_iterations, "resident_before": before}
-    return found, ([s.numbers for s in subdomains], result.dq)
+    return found, ([s.numbers for s in subdomains], list(result.dq))
 
 
 def _system(problem: TiledProblem, subdomain: Subdomain, eta: float) -> LocalSystem:
@@ -154,7 +156,7 @@ def make_step(team: Team, solver: str, assembly: Assembly, operators: list[Local
     return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
 
 
-def of_petsc(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tuple[dict[str, Any], Field]:
+def of_petsc(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tuple[dict[str, Any], Values]:
     """A on strips of rows over the ranks and a solver of PETSc."""
     edges = np.linspace(0, problem.n + 1, team.size + 1).astype(int)
     first, last = int(edges[team.rank]), int(edges[team.rank + 1])
@@ -211,7 +213,7 @@ def largest_resident() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def compared(team: Team, problem: TiledProblem, field: Field, reference: Path, *, keep: bool) -> float | None:
+def compared(team: Team, problem: TiledProblem, field: Values, reference: Path, *, keep: bool) -> float | None:
     """Relative distance from the field kept in a file by a direct solver; ``keep``: write the file instead."""
     if keep:
         pieces = team.comm.gather(field, root=0)

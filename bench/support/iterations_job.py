@@ -25,9 +25,10 @@ from bench.support.cut_off_problem import (
 from bench.support.step_problem import ALONE, factorize
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import ConvergenceError
+from ddic.parallel.field import Field
 from ddic.problem.assembly import Assembly
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
 
@@ -60,7 +61,8 @@ def solve(kind: Preconditioner, tolerance: float, problem: TexturedMesh, assembl
     settings = DualSettings(kind, tolerance, MOST[kind], recycle=False)
     step = DualStep(ALONE, assembly.systems, operators, assembly.reaction_scale, settings)
     try:
-        return step.solve([np.zeros(len(b)) for b in problem.right], problem.right), step.n_interface
+        at_rest = Field.zero(ALONE, problem.subdomains)
+        return step.solve(at_rest, at_rest.with_parts(problem.right)), step.n_interface
     except ConvergenceError:
         return None, step.n_interface
     finally:

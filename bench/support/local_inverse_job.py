@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bench.support.step_problem import factorize, prepare_step
 from ddic.case.schema import Case
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.preconditioner import LocalInverseKind
@@ -65,9 +66,10 @@ def main(job: dict[str, Any]) -> None:
     set_up = time.perf_counter() - clock
     highest = peak()
     rng = np.random.default_rng(TEAM.rank)
-    zero = [np.zeros(s.hessian.shape[0]) for s in assembly.systems]
+    zero = Field.zero(TEAM, [system.subdomain for system in assembly.systems])
     clock = time.perf_counter()
-    result = step.solve(zero, [s.hessian @ rng.normal(size=s.hessian.shape[0]) for s in assembly.systems])
+    b = zero.with_parts(s.hessian @ rng.normal(size=s.hessian.shape[0]) for s in assembly.systems)
+    result = step.solve(zero, b)
     solve = time.perf_counter() - clock
     step.destroy()
     for operator in operators:

@@ -25,6 +25,7 @@ from ddic.images.window import merge_windows
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.io.result_reader import read_result
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
@@ -80,12 +81,12 @@ def do_once(team: Team, inputs: Inputs, frame: Frame, subdomains: list[Subdomain
     references = watch("reference", lambda: read_reference_views(case, inputs.cameras, subdomains))
     views = open_frame_views(case, frame, references)
     watch("deformed", lambda: read_frame_windows(views, q))
-    rasters = [reference.own.correlation.raster.window for reference in references]
+    rasters = [own.correlation.raster.window for own, *_ in references]
     shared = merge_windows(rasters, HALO[degree] + PADDING[degree])
     watch("gradient", lambda: [read_reference(camera.reference, window, degree) for window, _ in shared])
-    watch("M", lambda: [reference.own.correlation.compute_cell_hessians() for reference in references])
-    model = ResidualModel(team, views, case.correlation.correction_of_start)
-    watch("residual", lambda: model.linearize(q))
+    watch("M", lambda: [own.correlation.compute_cell_hessians() for own, *_ in references])
+    model = ResidualModel(team, subdomains, views, case.correlation.correction_of_start)
+    watch("residual", lambda: model.linearize(Field(team, subdomains, q)))
     return watch.times
 
 
@@ -105,7 +106,7 @@ def main(case_file: str, result_file: str, repeats: str) -> None:
     displacement = read_result(Path(result_file)).displacement
     q = [displacement[s.node_ids].ravel() for s in subdomains]
     runs = [do_once(team, inputs, frame, subdomains, q) for _ in range(int(repeats) + 1)][1:]
-    pixels = [reference.own.n_pixels for reference in read_reference_views(inputs.case, inputs.cameras, subdomains)]
+    pixels = [own.n_pixels for own, *_ in read_reference_views(inputs.case, inputs.cameras, subdomains)]
     n_pixels = sum(team.gather_lists(pixels))
     record: dict[str, Any] = {"n_ranks": team.size, "n_pixels": n_pixels}
     for kind in runs[0]:

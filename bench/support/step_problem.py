@@ -18,11 +18,14 @@ from scipy import sparse
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.functionals.regularization import controlled_stiffness
+from ddic.functionals.view import FrameView
 from ddic.inputs.inputs import open_inputs
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import Assembly, Hessians, assemble, assemble_hessians
+from ddic.problem.assembly import Assembly, assemble
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
 from ddic.problem.region_mesh import (
     Region,
     RegionMesh,
@@ -31,7 +34,7 @@ from ddic.problem.region_mesh import (
     scatter_region,
     split_region,
 )
-from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views, read_reference_views
+from ddic.problem.views import Hessians, open_frame_views, read_reference_views
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_operator import LocalOperator
@@ -57,30 +60,32 @@ class StepProblem:
         With its solver and regularization.
     whole : RegionMesh or None
         The whole mesh, on rank 0.
-    region : Region
-        What every rank knows of it.
-    views : list of FrameViews
-        Owned subdomains with their pixels in both images.
-    hessians : list of list of csr_matrix
-        M_s of each, grey levels squared per pixel squared.
+    reference : ReferenceProblem
+        Owned subdomains with their pixels in the reference image, and M.
+    views : ByView of FrameView
+        The same pixels in both images.
     """
 
     team: Team
     case: Case
     whole: RegionMesh | None
-    region: Region
-    views: list[FrameViews]
-    hessians: list[Hessians]
+    reference: ReferenceProblem
+    views: ByView[FrameView]
 
     @property
-    def references(self) -> list[ReferenceViews]:
-        """Owned subdomains with their pixels in the reference image."""
-        return [of_subdomain.reference for of_subdomain in self.views]
+    def region(self) -> Region:
+        """What every rank knows of the whole mesh."""
+        return self.reference.region
+
+    @property
+    def hessians(self) -> Hessians:
+        """M of each view, grey levels squared per pixel squared."""
+        return self.reference.hessians
 
     @property
     def subdomains(self) -> list[Subdomain]:
         """Owned subdomains."""
-        return [of_subdomain.subdomain for of_subdomain in self.views]
+        return self.reference.subdomains
 
     @property
     def numbers(self) -> list[NDArray[np.int64]]:
@@ -95,10 +100,10 @@ class StepProblem:
         Assembly
             Of owned subdomains.
         """
-        return assemble(self.team, self.case, self.region, self.references, self.hessians)
+        return assemble(self.team, self.reference, [1.0])
 
     def right_hand_sides(self, q: Sequence[Vector]) -> list[Vector]:
-        """Give b_s at a displacement, Eq. 5 of [BP17].
+        """Give b_s at a displacement, Eq. 7 of [BP17].
 
         Parameters
         ----------
@@ -111,8 +116,7 @@ class StepProblem:
             Grey levels squared per pixel.
         """
         found = []
-        for of_subdomain, q_s in zip(self.views, q, strict=True):
-            (view,) = of_subdomain.views
+        for (view,), q_s in zip(self.views, q, strict=True):
             found.append(view.assemble_right_hand_side(view.compute_residual(q_s)))
         return found
 
@@ -154,9 +158,11 @@ def prepare_step(team: Team, case: Case, split: Split | None = None) -> StepProb
     else:
         parts = split_region(whole, team.size) if split is None else split(whole.mesh)
     subdomains, region = scatter_region(team, whole, parts)
-    references = read_reference_views(case, inputs.cameras, subdomains)
-    hessians = assemble_hessians(team, references)
-    return StepProblem(team, case, whole, region, open_frame_views(case, frame, references), hessians)
+    views = read_reference_views(case, inputs.cameras, subdomains)
+    n_pixels = team.sum(sum(view.n_pixels for view in views.flat))
+    reference = ReferenceProblem(replace(inputs, case=case), region, subdomains, views, assemble_hessians(team, views),
+                                 n_pixels, ())
+    return StepProblem(team, case, whole, reference, open_frame_views(case, frame, views))
 
 
 def prepare_whole(case: Case) -> StepProblem:
@@ -216,7 +222,9 @@ def solve_dual(problem: StepProblem, settings: DualSettings, q: Vector, b: Vecto
     operators = factorize(assembly)
     step = DualStep(problem.team, assembly.systems, operators, assembly.reaction_scale, settings)
     try:
-        return step.solve([q[n] for n in problem.numbers], [b[n] for n in problem.numbers])
+        subdomains = [system.subdomain for system in assembly.systems]
+        start = Field(problem.team, subdomains, [q[n] for n in problem.numbers])
+        return step.solve(start, start.with_parts(b[n] for n in problem.numbers))
     finally:
         step.destroy()
         for operator in operators:
@@ -251,7 +259,8 @@ def correct_monolithically(whole: StepProblem, q: Vector, b: Vector,
         system = replace(system, stiffness=stiffness, row_weights=weights)
     operator = LocalOperator(system.operator, smallest_eigenvalue=0.0, where="the whole mesh")
     try:
-        return MonolithicStep(system, operator).solve([q], [b]).dq[0]
+        start = Field(whole.team, [system.subdomain], [q])
+        return MonolithicStep(system, operator).solve(start, start.with_parts([b])).dq[0]
     finally:
         operator.destroy()
 

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ddic.io.mapping_file import read_mapping
+from ddic.io.mapping_file import read_mapping_file
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_near_far_truth
 
 
 def main(folder: Path) -> None:
     truth = load_near_far_truth(folder / "images" / "truth.json")
-    mapping = read_mapping(folder / "mapping.toml")
+    mapping = read_mapping_file(folder / "mapping.toml").mapping
     corners = np.array([[0.0, 0.0], [399.0, 0.0], [0.0, 319.0], [399.0, 319.0]])
     off = truth.mapping.to_image(mapping.to_specimen(corners)) - corners
     print(f"calibration: {np.hypot(*off.T).max():.3f} near px off at the worst corner")

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from ddic.version import __version__
 
 if TYPE_CHECKING:
+    from ddic.api.given import Image
     from ddic.api.measure import Session, measure, prepare
-    from ddic.api.options import Image, Options
+    from ddic.api.options import Options
     from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty
     from ddic.api.synthetic import make_synthetic_pair
     from ddic.case.loader import load_case
@@ -37,56 +38,37 @@ if TYPE_CHECKING:
     from ddic.report.page import write_report
     from ddic.results.sweep import Candidate, Sweep, Trial
 
-_HOMES = {
-    "choose_regularization": "api.studies",
-    "Image": "api.options",
-    "Options": "api.options",
-    "Session": "api.measure",
-    "measure": "api.measure",
-    "prepare": "api.measure",
-    "make_synthetic_pair": "api.synthetic",
-    "Uncertainty": "api.studies",
-    "estimate_uncertainty": "api.studies",
-    "load_case": "case.loader",
-    "Case": "case.schema",
-    "ConvergenceError": "errors",
-    "DdicError": "errors",
-    "FactorizationError": "errors",
-    "InputError": "errors",
-    "SingularSubdomainError": "errors",
-    "CrackTip": "fracture.crack_tip",
-    "Ring": "fracture.crack_tip",
-    "find_crack_tip": "fracture.crack_tip",
-    "Opening": "fracture.opening",
-    "measure_opening": "fracture.opening",
-    "Result": "io.result_reader",
-    "open": "io.result_reader:read_result",
-    "SeriesResult": "io.series_reader",
-    "open_series": "io.series_reader:read_series",
-    "Kinematics": "kinematics.kinematics",
-    "RegionKinematics": "kinematics.kinematics",
-    "LinearRegion": "kinematics.linear",
-    "NodalRegion": "kinematics.nodal",
-    "Mesh": "mesh.mesh",
-    "Candidate": "results.sweep",
-    "Sweep": "results.sweep",
-    "Trial": "results.sweep",
-    "structured_mesh": "mesh.structured:build_structured_mesh",
-    "Extensometer": "probes.probes",
-    "LineProbe": "probes.probes",
-    "PointProbe": "probes.probes",
-    "StrainGauge": "probes.probes",
-    "Reading": "probes.read_probe",
-    "measure_probe": "probes.read_probe",
-    "Metrology": "probes.metrology",
-    "estimate_metrology": "probes.metrology",
-    "load_probes": "probes.probes",
-    "measure_probes": "probes.tables",
-    "write_probe_table": "probes.tables",
-    "write_field_tables": "probes.tables",
-    "write_report": "report.page",
+_PUBLIC = {
+    "api.given": ("Image",),
+    "api.measure": ("Session", "measure", "prepare"),
+    "api.options": ("Options",),
+    "api.studies": ("Uncertainty", "choose_regularization", "estimate_uncertainty"),
+    "api.synthetic": ("make_synthetic_pair",),
+    "case.loader": ("load_case",),
+    "case.schema": ("Case",),
+    "errors": ("ConvergenceError", "DdicError", "FactorizationError", "InputError", "SingularSubdomainError"),
+    "fracture.crack_tip": ("CrackTip", "Ring", "find_crack_tip"),
+    "fracture.opening": ("Opening", "measure_opening"),
+    "io.result_reader": ("Result", "open"),
+    "io.series_reader": ("SeriesResult", "open_series"),
+    "kinematics.kinematics": ("Kinematics", "RegionKinematics"),
+    "kinematics.linear": ("LinearRegion",),
+    "kinematics.nodal": ("NodalRegion",),
+    "mesh.mesh": ("Mesh",),
+    "mesh.structured": ("structured_mesh",),
+    "probes.metrology": ("Metrology", "estimate_metrology"),
+    "probes.probes": ("Extensometer", "LineProbe", "PointProbe", "StrainGauge", "load_probes"),
+    "probes.read_probe": ("Reading", "measure_probe"),
+    "probes.tables": ("measure_probes", "write_field_tables", "write_probe_table"),
+    "report.page": ("write_report",),
+    "results.sweep": ("Candidate", "Sweep", "Trial"),
 }
 """Where the public names live: modules are imported at first use, for some bring MPI, PETSc and numba."""
+
+_HOMES = {name: home for home, names in _PUBLIC.items() for name in names}
+
+_NAMED_THERE = {"open": "read_result", "open_series": "read_series", "structured_mesh": "build_structured_mesh"}
+"""What names are called at home, where they differ."""
 
 __all__ = [
     "Candidate",
@@ -143,8 +125,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'ddic' has no attribute '{name}'")
-    home, _, other_name = _HOMES[name].partition(":")
-    return getattr(importlib.import_module(f"ddic.{home}"), other_name or name)
+    module = importlib.import_module(f"ddic.{_HOMES[name]}")
+    return getattr(module, _NAMED_THERE.get(name, name))
 
 
 def __dir__() -> list[str]:

@@ -77,7 +77,7 @@ def _write_images(folder: Path, bit_depth: int) -> None:
         tifffile.imwrite(folder / f"{name}.tif", values)
 
 
-def main() -> None:
+def compile_and_tell() -> None:
     """Compile, and say how long it took; a second time takes a few seconds."""
     # BLAS reads these when numpy is imported.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -88,4 +88,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    compile_and_tell()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 
@@ -28,6 +30,37 @@ class InputError(DdicError):
     def __init__(self, problems: str | Sequence[str]) -> None:
         self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
         super().__init__("\n".join(self.problems))
+
+
+class Problems:
+    """Lines gathered from several checks, so that one failure does not hide the next.
+
+    Attributes
+    ----------
+    lines : list of str
+        One problem each.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    @contextmanager
+    def gathered(self, source: Path | None = None) -> Iterator[None]:
+        """Keep the lines of an InputError that is raised inside; ``source`` is a file to name before each line."""
+        try:
+            yield
+        except InputError as error:
+            self.add(error, source)
+
+    def add(self, error: InputError, source: Path | None = None) -> None:
+        """Keep the lines of an error of one check; ``source`` is a file to name before each line."""
+        prefix = "" if source is None else f"{source}: "
+        self.lines += [prefix + line for line in error.problems]
+
+    def require_none(self) -> None:
+        """Raise all of them as one InputError, where there are any."""
+        if self.lines:
+            raise InputError(self.lines)
 
 
 class ConvergenceError(DdicError):
@@ -74,18 +107,7 @@ class WriteError(DdicError):
 
 
 def is_disk_failure(error: OSError) -> bool:
-    """Tell whether a disk is full, broken or closed to writing, for which nobody's input is to blame.
-
-    Parameters
-    ----------
-    error : OSError
-        As the system raised it.
-
-    Returns
-    -------
-    bool
-        Whether it is.
-    """
+    """Tell whether a disk is full, broken or closed to writing, for which nobody's input is to blame."""
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
@@ -93,18 +115,7 @@ _LISTED = 10
 
 
 def list_first(numbers: Iterable[int]) -> str:
-    """List the first ten numbers, for a message.
-
-    Parameters
-    ----------
-    numbers : iterable of int
-        In any order.
-
-    Returns
-    -------
-    str
-        Separated by commas, with dots where there are more.
-    """
+    """List the first ten numbers, for a message, separated by commas, with dots where there are more."""
     listed = [str(n) for n in islice(numbers, _LISTED + 1)]
     return ", ".join([*listed[:_LISTED], *(["..."] if len(listed) > _LISTED else [])])
 
@@ -113,33 +124,11 @@ E = TypeVar("E", bound=BaseException)
 
 
 def as_collective(error: E) -> E:
-    """Mark an error as raised by every rank at the same place: the job may end without an abort.
-
-    Parameters
-    ----------
-    error : exception
-        The same on all ranks.
-
-    Returns
-    -------
-    exception
-        The error itself, to be raised.
-    """
+    """Mark an error as raised by every rank at the same place, the same on all: the job may end without an abort."""
     error.collective = True  # type: ignore[attr-defined]  # exceptions carry attributes through pickling
     return error
 
 
 def is_collective(error: BaseException) -> bool:
-    """Tell whether every rank raised this error.
-
-    Parameters
-    ----------
-    error : exception
-        As it was caught.
-
-    Returns
-    -------
-    bool
-        Whether the job may end without an abort.
-    """
+    """Tell whether every rank raised this error, so that the job may end without an abort."""
     return bool(getattr(error, "collective", False))

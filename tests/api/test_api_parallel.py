@@ -38,7 +38,7 @@ def refused(call: Any) -> ddic.InputError:
     return error
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 def test_every_rank_gets_the_whole_result(pair: Pair, mesh: ddic.Mesh, shared_path: Path) -> None:
     options = REGULARIZED | {"solver": {"subdomains": 4}}
     result = ddic.measure(pair, mesh, options=options, output=shared_path / "result.vtkhdf")
@@ -55,7 +55,7 @@ def test_every_rank_gets_the_whole_result(pair: Pair, mesh: ddic.Mesh, shared_pa
 
 
 @pytest.mark.filterwarnings("ignore:.*did not converge:UserWarning")
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize("options", [
     REGULARIZED | {"solver": {"method": "dual", "subdomains": 4}, "gauss_newton": {"max_iterations": 1}},
     {"pgd": {"max_corrections": 1, "stop_at_noise": False}}], ids=["dual", "pgd"])
@@ -89,7 +89,7 @@ def test_files_masks_and_sessions(files: tuple[Path, Path], pair: Pair, mesh: dd
     assert largest_error(last) < WITHIN
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 def test_case_file(case_file: Path, shared_path: Path) -> None:
     result = ddic.measure(case_file, output=shared_path / "of_case.vtkhdf")
     assert largest_error(result) < WITHIN
@@ -104,7 +104,7 @@ def test_ranks_can_measure_different_images_alone(pair: Pair, mesh: ddic.Mesh) -
     assert (np.abs(result.displacement).max() < 1e-4) == (MPI.COMM_WORLD.rank == 0)
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 def test_wrong_input_is_told_on_all_ranks(pair: Pair, mesh: ddic.Mesh) -> None:
     nan = np.where(np.arange(160) == 60, np.nan, pair[0])
     refused(lambda: ddic.measure((nan, pair[1]), mesh))
@@ -121,7 +121,7 @@ def test_wrong_input_is_told_on_all_ranks(pair: Pair, mesh: ddic.Mesh) -> None:
     refused(lambda: ddic.measure("no_such.toml"))
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 def test_image_that_is_wrong_on_one_rank_is_told_on_all(pair: Pair, mesh: ddic.Mesh) -> None:
     reference = pair[0].astype(float)
     if MPI.COMM_WORLD.rank == 1:
@@ -129,7 +129,7 @@ def test_image_that_is_wrong_on_one_rank_is_told_on_all(pair: Pair, mesh: ddic.M
     assert "NaN" in str(refused(lambda: ddic.measure((reference, pair[1]), mesh)))
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("name", ["integrated_dic", "fixed_components"])
 def test_own_kinematics_of_the_examples_by_every_method(name: str) -> None:
     example = runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="example")
@@ -147,7 +147,7 @@ def test_own_kinematics_of_the_examples_by_every_method(name: str) -> None:
     assert max(differences.values()) < 1e-9, differences
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 def test_a_masked_image_without_regularization_is_prepared_on_all_ranks(pair: Pair, mesh: ddic.Mesh) -> None:
     used = np.ones(pair[0].shape, dtype=bool)
     used[35:105, 55:125] = False

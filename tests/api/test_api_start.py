@@ -93,7 +93,7 @@ def _refused(call: Callable[[], object]) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([3])
 def test_all_ranks_start_alike(pair: Pair, jumped: Pair, mesh: ddic.Mesh) -> None:
     options = REGULARIZED | {"solver": {"subdomains": 4}}
     first = ddic.measure(pair, mesh, options=options)

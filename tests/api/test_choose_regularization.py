@@ -15,7 +15,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
-from ddic.cli.sweep import sweep
+from ddic.cli.studies import sweep
 from ddic.errors import InputError
 from ddic.inputs.inputs import Inputs
 from ddic.methods import sweep as sweeping
@@ -65,7 +65,7 @@ def test_recommended_settings_are_next_to_the_best(wave_case: Path) -> None:
     assert found.camera_noise == pytest.approx(2.0, rel=0.06)
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_ranks_find_the_same(wave_case: Path) -> None:
     found = ddic.choose_regularization(wave_case, wavelengths=(0, 60, 120), element_sizes=(16,))
     of_ranks = MPI.COMM_WORLD.allgather([trial.virtual_error for trial in found.trials])

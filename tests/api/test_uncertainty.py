@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import ddic
-from ddic.cli.uncertainty import uncertainty
+from ddic.cli.studies import uncertainty
 from ddic.errors import InputError
 
 IMAGE, _ = ddic.make_synthetic_pair(np.zeros_like, (220, 200), seed=4)

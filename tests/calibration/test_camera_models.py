@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.calibration.camera_models import KINDS, CameraModel, Kind, fit_similarity
+from ddic.calibration.camera_models import CameraModel, Kind, fit_similarity
 from ddic.images.camera import CameraMapping, similarity
 from support.two_cameras import BARREL, TILTED, TURNED, UPRIGHT, corners_and_centre
 
@@ -17,7 +19,7 @@ def model(kind: Kind, distorts: bool = False, middle: tuple[float, float] = (66.
     return CameraModel(kind, 4.0, np.array(middle), 35.0, BARREL.centre, BARREL.radius, distorts)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", get_args(Kind))
 @pytest.mark.parametrize("distorts", [False, True])
 def test_derivatives_are_those_of_the_mapping(kind: Kind, distorts: bool) -> None:
     m = model(kind, distorts)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.calibration.camera_models import Kind
-from ddic.calibration.near import Calibration, calibrate
+from ddic.calibration.near import Calibration, calibrate_near_camera
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, similarity
 from ddic.io.image_file import open_image
@@ -35,7 +35,7 @@ def error_of(found: Calibration, mapping: CameraMapping) -> np.ndarray:
     (TILTED, 4.4, "homography"), (BARREL, 4.0, "homography")])
 def test_mapping_is_found_from_a_rough_ratio(mapping: CameraMapping, ratio: float, kind: Kind) -> None:
     far, near = in_memory(noisy(far_grey(mapping), 1)), in_memory(noisy(near_grey(), 2))
-    found = calibrate(far, near, ratio, kind, mapping.distorts)
+    found = calibrate_near_camera(far, near, ratio, kind, mapping.distorts)
     assert (found.far_size, found.near_size) == (FAR_SIZE, NEAR_SIZE)
     np.testing.assert_array_equal(found.places_std.shape, (5, 2))
     # Noise of two grey levels leaves 0.01 to 0.05 px; four standard deviations of ten numbers.
@@ -46,18 +46,19 @@ def test_mapping_is_found_from_a_rough_ratio(mapping: CameraMapping, ratio: floa
 
 def test_what_is_said_of_a_similarity() -> None:
     far, near = in_memory(far_grey(TURNED)), in_memory(near_grey())
-    found = calibrate(far, near, 4.0)
+    found = calibrate_near_camera(far, near, 4.0)
     # Without noise the error is that of the spline, 1e-3 px over 140.
     assert found.ratio == pytest.approx(4.2, abs=1e-4)
     assert found.rotation == pytest.approx(-3.0, abs=1e-3)
     np.testing.assert_allclose(found.offset, (-150.0, -105.0), atol=5e-3)
     assert found.deviation[0] <= found.deviation[1] < 2e-3
-    assert calibrate(in_memory(far_grey(TILTED)), near, 4.0).deviation[1] > 1.0
+    assert calibrate_near_camera(in_memory(far_grey(TILTED)), near, 4.0).deviation[1] > 1.0
     assert found.similarity_std.shape == (4,)
 
 
 def test_uncertainty_of_entries_and_of_positions_agree() -> None:
-    found = calibrate(in_memory(noisy(far_grey(TURNED), 1)), in_memory(noisy(near_grey(), 2)), 4.0, "similarity")
+    far, near = in_memory(noisy(far_grey(TURNED), 1)), in_memory(noisy(near_grey(), 2))
+    found = calibrate_near_camera(far, near, 4.0, "similarity")
     # A similarity's entries [0, 0] and [1, 1] are one number, as are [0, 1] and -[1, 0].
     np.testing.assert_allclose(found.homography_std[0, 0], found.homography_std[1, 1], rtol=1e-6)
     assert not found.homography_std[2].any()
@@ -90,7 +91,7 @@ BLANK = np.full((FAR_SIZE[1], FAR_SIZE[0]), 7.0)
 ])
 def test_wrong_inputs(far: np.ndarray, near: np.ndarray, ratio: float, words: str) -> None:
     with pytest.raises(InputError, match=words) as error:
-        calibrate(in_memory(far, "far.tif"), in_memory(near, "near.tif"), ratio)
+        calibrate_near_camera(in_memory(far, "far.tif"), in_memory(near, "near.tif"), ratio)
     assert len(error.value.problems) == 1
 
 
@@ -98,7 +99,7 @@ def test_wrong_inputs(far: np.ndarray, near: np.ndarray, ratio: float, words: st
 @pytest.mark.real_data
 def test_foam(real_data: Path, ratio: float) -> None:
     folder = real_data / "nearfar_foam"
-    found = calibrate(open_image(folder / "far_ref.tif"), open_image(folder / "near_ref.tif"), ratio)
+    found = calibrate_near_camera(open_image(folder / "far_ref.tif"), open_image(folder / "near_ref.tif"), ratio)
     # The far image is the mean of 4 x 4 px, rounded to whole grey levels; its description has the mapping.
     truth = similarity(4.0, 0.0, (1.5 - 360, 1.5 - 840))
     assert np.abs(error_of(found, truth)).max() < 0.005
@@ -111,4 +112,4 @@ def test_foam(real_data: Path, ratio: float) -> None:
 def test_foam_is_not_found_in_other_pictures(real_data: Path) -> None:
     near = open_image(real_data / "openhole" / "zoom-0053_1.tif")
     with pytest.raises(InputError, match="no common texture"):
-        calibrate(open_image(real_data / "nearfar_foam" / "far_ref.tif"), near, 4.0)
+        calibrate_near_camera(open_image(real_data / "nearfar_foam" / "far_ref.tif"), near, 4.0)

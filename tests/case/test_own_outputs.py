@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from ddic.case.own_outputs import MAPPING, OPENINGS, PICTURE, require_own_output
-from ddic.cli.app import main
+from ddic.cli.app import command_line
 from ddic.errors import InputError
 from support.cases import write_case, write_images
 
@@ -79,7 +79,7 @@ def test_inputs_of_a_case_nearby_stay(tmp_path: Path, text: str, is_input: bool,
 
 
 def _call(*words: object) -> Result:
-    return CliRunner().invoke(main, [str(word) for word in words])
+    return CliRunner().invoke(command_line, [str(word) for word in words])
 
 
 @pytest.mark.parametrize("link", [None, *LINKS])

@@ -14,7 +14,7 @@ import tifffile
 from click.testing import CliRunner
 
 from ddic.check.case import load_checked_case
-from ddic.cli.app import main
+from ddic.cli.app import command_line
 from ddic.errors import InputError
 
 CASE = '[images]\nreference = "f.tif"\ndeformed = "g.tif"\n'
@@ -34,7 +34,7 @@ def folder(tmp_path: Path) -> Path:
 def _refuse(folder: Path) -> str:
     """What check and run say alike; nothing is written."""
     before = sorted(folder.iterdir())
-    checked = CliRunner().invoke(main, ["check", str(folder / "case.toml")])
+    checked = CliRunner().invoke(command_line, ["check", str(folder / "case.toml")])
     with pytest.raises(InputError) as caught:
         load_checked_case(folder / "case.toml", 1)
     assert checked.exit_code == 2, checked.output
@@ -46,7 +46,7 @@ def _refuse(folder: Path) -> str:
 
 def test_the_sound_case_is_sound(folder: Path) -> None:
     assert load_checked_case(folder / "case.toml", 1).case.mesh.structured is not None
-    assert CliRunner().invoke(main, ["check", str(folder / "case.toml")]).exit_code == 0
+    assert CliRunner().invoke(command_line, ["check", str(folder / "case.toml")]).exit_code == 0
 
 
 NAMED = "x" * 300
@@ -200,6 +200,6 @@ def test_a_damaged_compressed_tiff_is_found_by_check(folder: Path) -> None:
     data = bytearray((folder / "f.tif").read_bytes())
     data[len(data) // 2:len(data) // 2 + 40] = bytes(40)
     (folder / "f.tif").write_bytes(data)
-    done = CliRunner().invoke(main, ["check", str(folder / "case.toml")])
+    done = CliRunner().invoke(command_line, ["check", str(folder / "case.toml")])
     assert (done.exit_code, len(done.stderr.splitlines())) == (2, 1)
     assert "f.tif" in done.stderr

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from ddic import __version__
-from ddic.cli.app import COMMANDS, main
+from ddic.cli.app import COMMANDS, command_line
 from support.commands import ddic, finished
 
 HEAVY = ("numpy", "scipy", "cv2", "numba", "meshio", "matplotlib", "mpi4py.MPI", "petsc4py.PETSc", "h5py",
@@ -16,8 +16,9 @@ HEAVY = ("numpy", "scipy", "cv2", "numba", "meshio", "matplotlib", "mpi4py.MPI",
 
 
 def test_help_lists_the_commands_and_imports_nothing_heavy() -> None:
-    code = ("import sys\nfrom click.testing import CliRunner\nfrom ddic.cli.app import main\n"
-            "result = CliRunner().invoke(main, ['--help'])\nassert result.exit_code == 0\nprint(result.output)\n"
+    code = ("import sys\nfrom click.testing import CliRunner\nfrom ddic.cli.app import command_line\n"
+            "result = CliRunner().invoke(command_line, ['--help'])\nassert result.exit_code == 0\n"
+            "print(result.output)\n"
             f"print('heavy:', [name for name in {HEAVY!r} if name in sys.modules])\n")
     job = finished([sys.executable, "-c", code])
     assert job.code == 0, job.err
@@ -35,13 +36,13 @@ def test_the_beginning_imports_nothing_that_may_be_missing() -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str) -> None:
-    result = CliRunner().invoke(main, [name, "--help"])
+    result = CliRunner().invoke(command_line, [name, "--help"])
     assert result.exit_code == 0
     assert "Usage:" in result.output
 
 
 def test_version() -> None:
-    result = CliRunner().invoke(main, ["--version"])
+    result = CliRunner().invoke(command_line, ["--version"])
     assert result.exit_code == 0
     assert __version__ in result.output
 
@@ -55,10 +56,10 @@ def test_version() -> None:
     ("info none.vtkhdf two.vtkhdf", "ddic info: Got unexpected extra argument (two.vtkhdf); see ddic info --help"),
 ])
 def test_words_that_a_command_does_not_take_are_told_in_a_line(words: str, line: str) -> None:
-    result = CliRunner().invoke(main, words.split(), prog_name="ddic")
+    result = CliRunner().invoke(command_line, words.split(), prog_name="ddic")
     assert result.exit_code == 2
     assert result.output.splitlines() == [line]
 
 
 def test_module_and_script_are_the_same_program() -> None:
-    assert ddic("--version").out == CliRunner().invoke(main, ["--version"]).output
+    assert ddic("--version").out == CliRunner().invoke(command_line, ["--version"]).output

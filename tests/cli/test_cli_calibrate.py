@@ -9,7 +9,7 @@ import pytest
 import tifffile
 from click.testing import CliRunner, Result
 
-from ddic.cli.calibrate import calibrate
+from ddic.cli.calibrate import calibrate_near
 from ddic.io.mapping_file import read_mapping_file
 from support.commands import ddic
 from support.two_cameras import BARREL, TURNED, UPRIGHT, corners_and_centre, far_grey, near_grey
@@ -23,7 +23,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(calibrate, list(map(str, arguments)))
+    return CliRunner().invoke(calibrate_near, list(map(str, arguments)))
 
 
 def test_prints_what_it_found_and_writes_it(folder: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from ddic.cli.app import main
+from ddic.cli.app import command_line
 from support.cases import write_case, write_images
 
 
@@ -19,7 +19,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def sweep(folder: Path, *words: str) -> Result:
-    return CliRunner().invoke(main, ["sweep", str(folder / "case.toml"), *words])
+    return CliRunner().invoke(command_line, ["sweep", str(folder / "case.toml"), *words])
 
 
 @pytest.mark.parametrize(("words", "said"), [

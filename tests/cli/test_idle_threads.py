@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from ddic.cli.surroundings import TIMEOUT, prepare_idle_threads
+from ddic.cli.entry import TIMEOUT, prepare_idle_threads
 
 NAME = "OPENBLAS_THREAD_TIMEOUT"
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import ddic
-from accept.support.job_script import edit_job_script
+from accept.slurm_job import edit_job_script
 from support.cases import write_case, write_images
 from support.commands import LIMIT, started, wait_for
 from support.patient import ENDLESS, FOUR, patient

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ddic.cli.console import OF_ITERATION, WEIGHTS, RunShare
+from ddic.cli.progress_bar import OF_ITERATION, WEIGHTS, RunShare
 from ddic.parallel.phases import Phase
 
 

@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 import ddic
-from ddic.cli import surroundings
-from ddic.cli.app import main
+from ddic.cli import entry
+from ddic.cli.app import command_line
 from ddic.cli.failures import describe_petsc_error
 from ddic.io import image_file
 from support.cases import write_case, write_images
@@ -44,6 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+@pytest.mark.program
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_a_pipe_that_nobody_reads_ends_a_command_without_a_trace(folder: Path, command: str) -> None:
     reading, writing = os.pipe()
@@ -57,6 +58,7 @@ def test_a_pipe_that_nobody_reads_ends_a_command_without_a_trace(folder: Path, c
     assert done.stderr.splitlines() == ([said] if command == "run" else [])
 
 
+@pytest.mark.program
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_closed_streams_change_nothing_but_what_is_seen(folder: Path, command: str) -> None:
     done = subprocess.run([*CLOSED, sys.executable, "-m", "ddic", command, str(folder / "case.toml")], check=False,
@@ -82,8 +84,8 @@ def test_a_clock_that_python_cannot_read_is_said_in_a_line(monkeypatch: pytest.M
     def read() -> float:
         raise OverflowError("timestamp too large to convert to C _PyTime_t")
 
-    monkeypatch.setattr(surroundings.time, "time", read)
-    done = CliRunner().invoke(main, ["info", "r.vtkhdf"])
+    monkeypatch.setattr(entry.time, "time", read)
+    done = CliRunner().invoke(command_line, ["info", "r.vtkhdf"])
     assert done.exit_code == 1
     assert done.stderr.splitlines() == ["the system's clock stands before 1678 or after 2261, of which Python cannot "
                                         "tell the time: set it right (date)"]
@@ -91,7 +93,8 @@ def test_a_clock_that_python_cannot_read_is_said_in_a_line(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("size", ["10x99999999999999999999", "1000001x10", "10x" + "9" * 5000])
 def test_a_size_that_no_image_has_is_refused(size: str, tmp_path: Path) -> None:
-    done = CliRunner().invoke(main, ["synth", "translation", "--size", size, "--output", str(tmp_path / "made")])
+    words = ["synth", "translation", "--size", size, "--output", str(tmp_path / "made")]
+    done = CliRunner().invoke(command_line, words)
     assert done.exit_code == 2
     assert "images have 1000000 columns and rows at most" in done.stderr
     assert not (tmp_path / "made").exists()
@@ -110,7 +113,7 @@ def test_a_name_that_is_no_text_can_be_printed(tmp_path: Path) -> None:
     ("plot", "r.vtkhdf", "--amplification", "nan"), ("plot", "r.vtkhdf", "--limits", "nan", "1"),
     ("crack", "r.vtkhdf", "--tip", "1", "inf")])
 def test_nan_and_infinity_are_no_numbers(words: tuple[str, ...]) -> None:
-    done = CliRunner().invoke(main, words)
+    done = CliRunner().invoke(command_line, words)
     assert done.exit_code == 2
     assert "is not a finite number" in done.stderr
 
@@ -142,5 +145,5 @@ def test_info_decodes_an_image_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         return imread(*words)
 
     monkeypatch.setattr(image_file.cv2, "imread", count)
-    assert CliRunner().invoke(main, ["info", str(tmp_path / "a.png")]).exit_code == 0
+    assert CliRunner().invoke(command_line, ["info", str(tmp_path / "a.png")]).exit_code == 0
     assert len(decoded) == 1

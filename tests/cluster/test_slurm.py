@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 import ddic
-from accept.support.job_script import edit_job_script
-from accept.support.one_machine_slurm import Slurm, one_machine_slurm
-from accept.support.same_datasets import find_unequal_datasets
+from accept.series_runs import find_unequal_datasets
+from accept.slurm_job import Slurm, edit_job_script, one_machine_slurm
 from support.cases import write_case, write_images
 from support.commands import ddic as run_ddic
 from support.commands import wait_for

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 import ddic
-from accept.support.same_datasets import find_unequal_datasets
-from accept.support.two_hosts import TwoHosts, two_hosts
+from accept.series_runs import find_unequal_datasets
 from support.cases import write_case, write_images
 from support.commands import DDIC
 from support.commands import ddic as run_ddic
 from support.patient import ENDLESS, FOUR, patient
+from support.two_hosts import TwoHosts, two_hosts
 
 pytestmark = pytest.mark.skipif("DDIC_TEST_HOSTS" not in os.environ, reason="make test-hosts runs it")
 

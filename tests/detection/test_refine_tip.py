@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accept.support.cracked_pair import Crack, render_crack
+from accept.support.opened_pair import Crack, render_crack
 from ddic.detection.refine_line import UncertainLine
 from ddic.detection.refine_tip import UncertainTip, find_tip_move
 from ddic.errors import ConvergenceError

@@ -6,7 +6,7 @@ import numpy as np
 
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.spoilt_pixels import cut_patches
-from ddic.functionals.view import FrameView, View
+from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.cell_type import T3
@@ -24,7 +24,7 @@ def test_a_patch_holds_the_cells_pixels_of_both_images() -> None:
     is_shown = np.ones(f.shape, dtype=bool)
     is_shown[hidden[1], hidden[0]] = False
     correlation = read_correlation(MESH, source(f, is_shown), 3)
-    view = FrameView(View(correlation, NodalKinematics(MESH, np.arange(MESH.n_dofs))), DeformedSubImage(source(g), 3))
+    view = View(correlation, NodalKinematics(MESH, np.arange(MESH.n_dofs))).open_frame(DeformedSubImage(source(g), 3))
     q = np.random.default_rng(4).uniform(-2, 2, MESH.n_dofs)
     patches = list(cut_patches(view, q, np.array([1, 0]), (1.1, -3.0)))
     assert [cell for cell, _, _ in patches] == [1, 0]

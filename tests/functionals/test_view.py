@@ -52,24 +52,24 @@ def view_of(mapping: CameraMapping, motion: MotionKind, f: NDArray[np.float64], 
     field = NodalKinematics(mesh, np.arange(mesh.n_dofs))
     placed = place_before_camera(field, setup, mesh.n_dofs + np.arange(setup.n_motion_unknowns + n_others))
     part = read_correlation(placed.mesh, source(f), DEGREE)
-    return FrameView(View(part, placed, camera=1, weight=WEIGHT), DeformedSubImage(source(g), DEGREE))
+    return View(part, placed, camera=1, weight=WEIGHT).open_frame(DeformedSubImage(source(g), DEGREE))
 
 
 def camera_of(frame_view: FrameView) -> CameraKinematics:
-    placed = frame_view.view.kinematics
+    placed = frame_view.kinematics
     assert isinstance(placed, CameraKinematics)
     return placed
 
 
 def hessian_of(frame_view: FrameView) -> NDArray[np.float64]:
     """M in the unknowns."""
-    view = frame_view.view
+    view = frame_view
     return np.asarray(view.project(view.assemble_hessian()).toarray())
 
 
 def functional(frame_view: FrameView, g: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], float]:
     """1/2 w sum (f - g)^2 pixel by pixel, g by scipy's spline, as a function of the unknowns."""
-    view = frame_view.view
+    view = frame_view
     cells = cell_pixels(view.correlation)
     f = np.concatenate([cell.f for cell in cells])
     positions = np.concatenate([np.column_stack([cell.x, cell.y]) for cell in cells])
@@ -105,7 +105,7 @@ def test_b_is_minus_the_gradient_where_the_images_slopes_agree(mapping: CameraMa
     phi = functional(seen, g)
     residual = seen.compute_residual(np.zeros(placed.n_unknowns))
     b = seen.assemble_right_hand_side(residual)
-    by_node = seen.view.correlation.assemble_right_hand_side(residual)
+    by_node = seen.correlation.assemble_right_hand_side(residual)
     for direction in some_directions(seen):
         step = 1e-4
         slope = (phi(step * direction) - phi(-step * direction)) / (2 * step)
@@ -136,7 +136,7 @@ def test_m_pixel_by_pixel(mapping: CameraMapping, motion: MotionKind) -> None:
     seen = view_of(mapping, motion, picture(), picture())
     tangent = camera_of(seen).tangent.toarray()
     rows = []
-    for cell in cell_pixels(seen.view.correlation):
+    for cell in cell_pixels(seen.correlation):
         slopes = np.einsum("pa,pi->pai", cell.shapes, cell.gradient).reshape(len(cell.x), -1)
         rows.append(slopes @ tangent[(2 * cell.nodes[:, None] + np.arange(2)).ravel()])
     jacobian = np.concatenate(rows)
@@ -166,7 +166,7 @@ def test_the_columns_of_the_motion_are_m_times_a_rigid_displacement(mapping: Cam
 def test_weight_multiplies_m_and_b() -> None:
     f, g = picture(), picture(1)
     seen = view_of(MAPPINGS["homography"], "rigid", f, g)
-    heavy = replace(seen, view=replace(seen.view, weight=4 * WEIGHT))
+    heavy = replace(seen, weight=4 * WEIGHT)
     zero = np.zeros(camera_of(seen).n_unknowns)
     b, m = seen.assemble_right_hand_side(seen.compute_residual(zero)), hessian_of(seen)
     np.testing.assert_allclose(heavy.assemble_right_hand_side(heavy.compute_residual(zero)), 4 * b, rtol=1e-15)
@@ -193,7 +193,7 @@ def test_the_one_camera_of_a_plain_case_is_its_correlation(placed: bool) -> None
     kinematics: Kinematics = NodalKinematics(mesh, np.arange(mesh.n_dofs))
     if placed:
         kinematics = place_before_camera(kinematics, CameraSetup(identity(), "none", np.zeros(2), 1.0))
-    seen = FrameView(View(part, kinematics), deformed)
+    seen = View(part, kinematics).open_frame(deformed)
     q = np.random.default_rng(1).normal(size=mesh.n_dofs)
     expected, found = part.compute_residual(deformed, q, all_kinds=True), seen.compute_residual(q, all_kinds=True)
     # phi(X + u) - phi(X) of the identity rounds positions of 1e2 px.
@@ -216,7 +216,7 @@ def test_pixels_that_leave_the_deformed_image_leave_m() -> None:
     # 20 px of the specimen are 80 px of an image that ends 40 px beyond the mesh.
     q[-2] = 20.0
     shown = seen.without_hidden(q)
-    total = seen.view.n_pixels
+    total = seen.n_pixels
     expected = int(np.isfinite(seen.compute_residual_image(q)).sum())
     assert 0 < expected < total
     assert shown.n_pixels == expected
@@ -231,7 +231,7 @@ def test_pixels_are_counted_by_cell() -> None:
     seen = view_of(MAPPINGS["similarity"], "translation", f, f)
     q = np.zeros(camera_of(seen).n_unknowns)
     q[-2] = 20.0
-    everything, shown = seen.view, seen.without_hidden(q)
+    everything, shown = seen, seen.without_hidden(q)
     # What a cell shows is what its residual counts.
     assert everything.count_pixels().tolist() == [len(cell.x) for cell in cell_pixels(everything.correlation)]
     np.testing.assert_array_equal(shown.count_pixels(), seen.compute_residual(q).cell_sums.n_pixels)
@@ -241,7 +241,7 @@ def test_pixels_are_counted_by_cell() -> None:
 
 def test_a_view_held_still_has_weight_one_and_the_field_s_unknowns() -> None:
     seen = view_of(MAPPINGS["homography"], "rigid", picture(), picture(1))
-    still = seen.view.hold_still()
+    still = seen.hold_still()
     n = camera_of(seen).field.n_unknowns
     assert (still.weight, still.kinematics.n_unknowns, still.camera) == (1.0, n, 1)
     found = still.project(still.assemble_hessian()).toarray()

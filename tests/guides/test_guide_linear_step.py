@@ -20,5 +20,5 @@ def test_step_of_the_guide_raises_where_it_does_not_converge() -> None:
     guide = run_guide("linear-step")
     guide["MinresStep"].solve.__globals__["MAX_ITERATIONS"] = 2
     with pytest.raises(ConvergenceError, match="MINRES") as caught:
-        guide["MinresStep"](guide["system"]).solve([guide["q"]], [guide["b"]])
+        guide["MinresStep"](guide["system"]).solve(guide["q"], guide["b"])
     assert is_collective(caught.value)

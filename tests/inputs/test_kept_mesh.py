@@ -23,7 +23,7 @@ def _build_again(*_: object) -> NoReturn:
     raise AssertionError("the mesh was built once more")
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_the_mesh_that_was_checked_is_not_built_again(shared_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     team = Team(MPI.COMM_WORLD)
     if team.is_root:

@@ -15,14 +15,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from accept.report_page import find_clipped_texts
 from ddic.cli.plot import plot
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA, FAILURE, STATUS
-from ddic.plots.cameras import draw_near_far
-from ddic.plots.canvas import WORDS, draw_failures, find_clipped_texts
+from ddic.plots.canvas import WORDS, draw_failures
 from ddic.plots.curves import draw_corrections, draw_krylov, draw_modes, draw_opening
-from ddic.plots.deformed import draw_deformed
-from ddic.plots.maps import StrainChoice, draw_difference, draw_displacement, draw_strain
+from ddic.plots.maps import StrainChoice, draw_deformed, draw_difference, draw_displacement, draw_near_far, draw_strain
 from ddic.plots.partition import draw_partition
 from ddic.plots.residual import draw_residual
 from ddic.separated.field import SeparatedField

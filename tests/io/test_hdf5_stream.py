@@ -47,7 +47,7 @@ def _fill(file: h5py.File) -> None:
 def test_the_file_is_that_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "new").touch()
     _let_disk_take(monkeypatch, 1 << 40)
-    with new_hdf5(tmp_path / "new") as file:
+    with new_hdf5(tmp_path / "new") as (file, _):
         _fill(file)
     with h5py.File(tmp_path / "other", "w") as file:
         _fill(file)
@@ -63,11 +63,11 @@ def test_a_full_disk_is_told_and_the_file_is_closed(tmp_path: Path, monkeypatch:
     path = tmp_path / "new"
     with monkeypatch.context() as patch:
         count = _let_disk_take(patch, 1 << 40)
-        with new_hdf5(path) as file:
+        with new_hdf5(path) as (file, _):
             _fill(file)
         whole = count()
     _let_disk_take(monkeypatch, int(share * whole))
-    with pytest.raises(OSError, match="No space left") as caught, new_hdf5(path) as file:
+    with pytest.raises(OSError, match="No space left") as caught, new_hdf5(path) as (file, _):
         _fill(file)
     assert caught.value.filename == str(path)
     # Nothing is left open, which the library would try to write when the process ends, and crash.

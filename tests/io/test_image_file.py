@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io import image_header
+from ddic.io import image_formats
 from ddic.io.image_file import compute_sha256, open_image
 
 WIDTH, HEIGHT = 83, 61
@@ -205,9 +205,9 @@ def test_what_can_only_be_decoded_whole_has_a_limit(tmp_path: Path, ending: str,
                                                     monkeypatch: pytest.MonkeyPatch) -> None:
     # OpenCV compresses TIFF by LZW.
     cv2.imwrite(str(tmp_path / f"a.{ending}"), pattern("uint8"))
-    monkeypatch.setattr(image_header, "MOST_PIXELS_DECODED", WIDTH * HEIGHT)
+    monkeypatch.setattr(image_formats, "MOST_PIXELS_DECODED", WIDTH * HEIGHT)
     assert open_image(tmp_path / f"a.{ending}").width == WIDTH
-    monkeypatch.setattr(image_header, "MOST_PIXELS_DECODED", WIDTH * HEIGHT - 1)
+    monkeypatch.setattr(image_formats, "MOST_PIXELS_DECODED", WIDTH * HEIGHT - 1)
     with pytest.raises(InputError, match=r"can only be decoded whole.*save it as uncompressed TIFF"):
         open_image(tmp_path / f"a.{ending}")
 

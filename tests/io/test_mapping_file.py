@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
-from ddic.io.mapping_file import MappingFile, read_mapping, read_mapping_file, write_mapping
+from ddic.io.mapping_file import MappingFile, read_mapping_file, write_mapping
 
 SIMPLE = """
 homography = [[4, 0.0, -358.5], [0.0, 4.0, -838.5], [0.0, 0.0, 1.0]]
@@ -25,8 +25,7 @@ def test_a_mapping_by_hand_needs_no_more_than_homography_and_sizes(tmp_path: Pat
     path = tmp_path / "mapping.toml"
     path.write_text(SIMPLE)
     read = read_mapping_file(path)
-    for mapping in (read.mapping, read_mapping(path)):
-        np.testing.assert_array_equal(mapping.to_image(np.array([[90.0, 210.0]])), [[1.5, 1.5]])
+    np.testing.assert_array_equal(read.mapping.to_image(np.array([[90.0, 210.0]])), [[1.5, 1.5]])
     assert (read.far_size, read.near_size, read.coefficient) == ((448, 540), (900, 640), None)
     assert not read.homography_std.any()
 
@@ -68,7 +67,7 @@ def test_errors_name_file_key_value_and_remedy(tmp_path: Path, old: str, new: st
     assert old in SIMPLE
     path.write_text(SIMPLE.replace(old, new))
     with pytest.raises(InputError) as error:
-        read_mapping(path)
+        read_mapping_file(path)
     assert all(line.startswith(f"{path}: ") for line in error.value.problems)
     assert words in str(error.value)
 
@@ -78,14 +77,14 @@ def test_a_file_of_something_else_is_told_once(tmp_path: Path, text: str) -> Non
     path = tmp_path / "mapping.toml"
     path.write_text(text)
     with pytest.raises(InputError) as error:
-        read_mapping(path)
+        read_mapping_file(path)
     assert error.value.problems == (
         f"{path}: this is no mapping file, for it holds no homography; make one with ddic calibrate",)
 
 
 def test_a_file_that_is_missing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="make it with ddic calibrate"):
-        read_mapping(tmp_path / "none.toml")
+        read_mapping_file(tmp_path / "none.toml")
 
 
 def test_a_folder_that_is_missing(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import tifffile
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
+from accept.report_page import find_clipped_texts
 from ddic.cli.check import check
 from ddic.cli.plot import plot
 from ddic.io.image_file import open_image
@@ -20,11 +21,18 @@ from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import NODAL_INFINITESIMAL
 from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
-from ddic.plots.cameras import draw_near_far
-from ddic.plots.canvas import LengthUnit, find_clipped_texts, format_title, make_image_figure
+from ddic.plots.canvas import LengthUnit, format_title, make_image_figure
 from ddic.plots.curves import draw_krylov
-from ddic.plots.deformed import choose_amplification, draw_deformed
-from ddic.plots.maps import Preview, StrainChoice, draw_difference, draw_displacement, draw_strain
+from ddic.plots.maps import (
+    Preview,
+    StrainChoice,
+    choose_amplification,
+    draw_deformed,
+    draw_difference,
+    draw_displacement,
+    draw_near_far,
+    draw_strain,
+)
 from ddic.plots.partition import PALETTE, choose_colours, draw_mesh_preview, draw_partition
 from ddic.plots.residual import draw_residual
 from support.cases import write_case, write_images

@@ -11,14 +11,13 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from accept.support.near_far_case import CellPanel, draw_cell_panels
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
-from ddic.plots.cameras import CellPanel, draw_cell_panels, draw_near_far
 from ddic.plots.canvas import make_triangulation
 from ddic.plots.curves import draw_krylov
-from ddic.plots.deformed import choose_amplification, draw_deformed
-from ddic.plots.maps import draw_difference, read_preview
+from ddic.plots.maps import choose_amplification, draw_deformed, draw_difference, draw_near_far, read_preview
 from ddic.plots.partition import draw_partition
 from ddic.plots.residual import draw_residual
 

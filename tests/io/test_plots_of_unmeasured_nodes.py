@@ -17,10 +17,16 @@ from ddic.cli.plot import plot
 from ddic.errors import InputError
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
-from ddic.plots.cameras import draw_near_far
 from ddic.plots.canvas import PIXELS
-from ddic.plots.deformed import choose_amplification, draw_deformed
-from ddic.plots.maps import Values, draw_difference, draw_displacement, draw_values
+from ddic.plots.maps import (
+    Values,
+    choose_amplification,
+    draw_deformed,
+    draw_difference,
+    draw_displacement,
+    draw_near_far,
+    draw_values,
+)
 
 Write = Callable[..., Path]
 
@@ -89,7 +95,7 @@ def test_no_deformed_mesh_is_drawn_where_nothing_was_measured(part: Result) -> N
     with pytest.raises(InputError, match=r"part\.vtkhdf: no cell was measured"):
         draw_deformed(nothing)
     # Others have a page without colours.
-    blank = draw_values(part.mesh, [Values("none", "u", nothing.displacement[:, 0])], None, PIXELS, None)
+    blank = draw_values(part.mesh, [Values("none", "u", nothing.displacement[:, 0])], None, PIXELS, [None])
     assert all((colour == 255).all() for colour in _look(blank, (*HOLLOW, *FULL)))
 
 

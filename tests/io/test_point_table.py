@@ -23,9 +23,9 @@ def _write(folder: Path, text: str) -> Path:
     "\ufeffV\tname\tU\tY\tX\n-4\ta\t3.5\t2\t1\n\n8\tb\t7\t6\t5\n",
 ], ids=["commas", "semicolons", "tabs, other columns, another order"])
 def test_points_are_read(tmp_path: Path, text: str) -> None:
-    table = read_point_table(_write(tmp_path, text))
-    np.testing.assert_array_equal(table.values, [[1, 2, 3.5, -4], [5, 6, 7, 8]])
-    np.testing.assert_array_equal(table.rows, [2, 4])
+    values, rows = read_point_table(_write(tmp_path, text))
+    np.testing.assert_array_equal(values, [[1, 2, 3.5, -4], [5, 6, 7, 8]])
+    np.testing.assert_array_equal(rows, [2, 4])
 
 
 @pytest.mark.parametrize(("text", "words"), [

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from ddic.cli.info import info
 from ddic.cli.plot import plot
 from ddic.errors import InputError
-from ddic.io.damaged_result import require_known_displacement
-from ddic.io.result_reader import displacement_at, read_result
+from ddic.io.result_reader import displacement_at, read_result, require_known_displacement
 from ddic.io.result_schema import flip_components
 from ddic.io.series_reader import is_series_file
 from ddic.mesh.mesh import Mesh

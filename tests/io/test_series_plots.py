@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import stat
 from collections.abc import Callable
 from itertools import pairwise
@@ -12,24 +13,29 @@ import pytest
 from click.testing import CliRunner, Result
 from PIL import Image
 
+from accept.report_page import find_clipped_texts
 from ddic.cli.crack import crack, opening
 from ddic.cli.info import info
 from ddic.cli.plot import plot
-from ddic.cli.plot_series import Look, find_shared_scale
+from ddic.cli.plot_figures import Look, find_shared_scale
 from ddic.cli.probe import export
 from ddic.io.series_reader import gather_history, read_series
-from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption, find_clipped_texts
-from ddic.plots.deformed import draw_deformed
-from ddic.plots.maps import StrainChoice, draw_strain
+from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption
+from ddic.plots.maps import StrainChoice, draw_deformed, draw_strain
 from ddic.plots.series import draw_time_curves
 from support.series_files import STRAIN, FrameFile, write_series_file
 
 FRAMES = [FrameFile(0.5), FrameFile(1.0, 0), FrameFile(2.0, 3), FrameFile(3.0)]
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_series_file(tmp_path_factory.mktemp("series") / "s.vtkhdf", FRAMES, residual=True)
+
+
 @pytest.fixture
-def series(tmp_path: Path) -> Path:
-    return write_series_file(tmp_path / "s.vtkhdf", FRAMES, residual=True)
+def series(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(written, tmp_path))
 
 
 def run(command: object, *words: object) -> Result:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ddic.plots.sweep import SweptElements, draw_sweep
+from ddic.plots.curves import SweptElements, draw_sweep
 
 LENGTHS = np.array([0.0, 32.0, 64.0, 128.0])
 

@@ -41,7 +41,7 @@ def assert_is_the_line(line: np.ndarray) -> None:
     assert np.abs((line - FOOT) @ NORMAL).max() < 0.3
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_line_is_found_and_measured_with() -> None:
     result = ddic.measure(pair(0.8), MESH, options={"discontinuity": "detect"})
     (line,) = lines_of(result)

@@ -18,6 +18,7 @@ from ddic.cli.check import check
 from ddic.cli.plot import plot
 from ddic.cli.run import run
 from ddic.errors import ConvergenceError, InputError
+from support.oracles import make_on_root
 
 Array = NDArray[np.float64]
 SIZE = 200
@@ -81,19 +82,19 @@ def test_continuous_elements_smear_the_slip() -> None:
     assert np.sqrt(((result.at(points) - slide(points)) ** 2).mean()) > 0.03
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(("opening", "settings"), [("both", {}), ("tangential", REGULARIZED)],
                          ids=["plain", "regularized"])
 def test_all_solvers_find_the_field_of_the_assembled_operator(opening: str, settings: dict[str, Any]) -> None:
     alone = ddic.Options(settings | EXACT | {"solver": {"method": "monolithic"}, "discontinuity": [
         {"vertices": LINE, "opening": opening}]}, comm=MPI.COMM_SELF)
-    expected = ddic.measure(sliding_pair(), MESH["Q4"], options=alone)
     above, below = beside_the_line(3.0)
     points = np.vstack([above, below, MESH["Q4"].nodes + np.array([0.1, 0.2])])
+    expected = make_on_root(lambda: ddic.measure(sliding_pair(), MESH["Q4"], options=alone).at(points))
     for solver in SOLVERS.values():
         result = measure(settings | EXACT | {"solver": solver}, opening)
         # The linear steps are solved to 1e-11 of a pixel or so.
-        assert np.nanmax(np.abs(result.at(points) - expected.at(points))) < 1e-9
+        assert np.nanmax(np.abs(result.at(points) - expected)) < 1e-9
 
 
 def test_line_that_ends_inside_opens_behind_its_end() -> None:
@@ -159,18 +160,18 @@ def test_tip_functions_hold_what_elements_about_a_tip_do_not() -> None:
     assert errors[True] < 0.5 * errors[False]
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("settings", [{}, REGULARIZED], ids=["plain", "regularized"])
 def test_all_solvers_find_the_field_about_a_tip(settings: dict[str, Any]) -> None:
     line = {"vertices": [(CRACK_TIP - 300 * TANGENT).tolist(), CRACK_TIP.tolist()], "tip_functions": True}
     alone = ddic.Options(settings | EXACT | {"solver": {"method": "monolithic"}, "discontinuity": [line]},
                          comm=MPI.COMM_SELF)
-    expected = ddic.measure(cracked_pair(), MESH["Q4"], options=alone)
     points = np.vstack([CRACK_TIP + np.random.default_rng(0).uniform(-30, 30, (300, 2)), MESH["Q4"].nodes + 0.1])
+    expected = make_on_root(lambda: ddic.measure(cracked_pair(), MESH["Q4"], options=alone).at(points))
     for solver in SOLVERS.values():
         result = measure_crack(settings | EXACT | {"solver": solver}, tip_functions=True)
         # The linear steps are solved to 1e-11 of a pixel or so.
-        assert np.nanmax(np.abs(result.at(points) - expected.at(points))) < 1e-9
+        assert np.nanmax(np.abs(result.at(points) - expected)) < 1e-9
 
 
 @cache
@@ -180,7 +181,7 @@ def far_apart() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         (points - START) @ NORMAL > 0, 12.0, 0.0)[:, None] * TANGENT, (400, 400), seed=3)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_start_finds_sides_that_are_far_apart() -> None:
     line = [START.tolist(), (START + 500 * TANGENT).tolist()]
     mesh = ddic.structured_mesh((20, 20, 380, 380), 16)

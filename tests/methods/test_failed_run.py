@@ -21,7 +21,7 @@ from support.cases import Ears, write_case, write_images
 from support.near_far_cases import SOLVER, near_section, write_pairs
 from support.near_far_cases import case_text as near_far_text
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 REGULARIZED = "[regularization]\ncut_off_wavelength = 48.0\n"
 TIGHT = "[solver]\nsubdomains = 4\ntolerance = 1e-12\ninexact = false\n"
 GOOD = TIGHT + REGULARIZED
@@ -106,7 +106,7 @@ def test_status_is_in_name_file_and_summary(shared_path: Path, more: str, reason
     assert summary["iterations"] == (2 if result.separated is None else 1)
 
 
-@pytest.mark.parallel([1, 2, 4])
+@pytest.mark.parallel([1, 3])
 def test_an_earlier_result_is_moved_whole_and_a_later_one_removes_the_failed_field(shared_path: Path) -> None:
     team = Team.world()
     path = _write(shared_path, GOOD)
@@ -135,7 +135,7 @@ def test_an_earlier_result_is_moved_whole_and_a_later_one_removes_the_failed_fie
 
 
 @pytest.mark.filterwarnings("ignore:.*did not converge:UserWarning")
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_restart_from_a_failed_field_goes_on_and_keeps_it(shared_path: Path) -> None:
     team = Team.world()
     path = _write(shared_path, FAILS)
@@ -151,7 +151,7 @@ def test_a_restart_from_a_failed_field_goes_on_and_keeps_it(shared_path: Path) -
     assert from_failed.iterations <= from_scratch.iterations - 2
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_failure_without_a_field_moves_an_earlier_result_too(shared_path: Path) -> None:
     team = Team.world()
     run_case(team, _write(shared_path, GOOD), Silence())
@@ -171,7 +171,7 @@ def test_a_failure_without_a_field_moves_an_earlier_result_too(shared_path: Path
     assert _names(shared_path) == sorted(["none.tif", *_of("result.earlier")])
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_refused_inputs_touch_nothing(shared_path: Path) -> None:
     team = Team.world()
     run_case(team, _write(shared_path, GOOD), Silence())
@@ -181,7 +181,7 @@ def test_refused_inputs_touch_nothing(shared_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*did not converge:UserWarning")
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_several_cameras_leave_all_their_images_and_motions(shared_path: Path) -> None:
     team = Team.world()
     if team.is_root:
@@ -199,7 +199,7 @@ def test_several_cameras_leave_all_their_images_and_motions(shared_path: Path) -
     assert set(summary["images"]) == {"reference", "deformed", "near_1_reference", "near_1_deformed"}
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_full_disk_does_not_hide_why_the_run_failed(shared_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -213,7 +213,7 @@ def test_a_full_disk_does_not_hide_why_the_run_failed(shared_path: Path, monkeyp
     assert _names(shared_path) == []
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_an_earlier_result_that_does_not_move_whole_hides_nothing(shared_path: Path) -> None:
     path = _write(shared_path, FAILS)
     if MPI.COMM_WORLD.rank == 0:

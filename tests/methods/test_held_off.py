@@ -19,6 +19,7 @@ from ddic.parallel.team import Team
 from ddic.results.listener import Silence
 from ddic.results.series import SeriesSummary
 from ddic.visibility.exclusions import HELD_OFF, KEPT
+from support.oracles import make_on_root
 from support.spoilt import digitise
 
 Array = NDArray[np.float64]
@@ -100,16 +101,22 @@ def test_a_clean_pair_that_is_held_off_and_not_pulled_pays_nothing(cut_off_wavel
     np.testing.assert_array_equal(looked.gauss_newton["rms_correction_px"], kept.gauss_newton["rms_correction_px"])
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize("solver", [{"method": "dual", "partition": "blocks", "blocks": [2, 4], "tolerance": 1e-12},
                                     {"method": "assembled"}], ids=["dual", "assembled"])
 def test_any_number_of_ranks_holds_off_the_same(solver: dict[str, Any]) -> None:
     options = {"gauss_newton": TIGHT, "solver": solver}
-    alone, together = measure(options), measure(options, MPI.COMM_WORLD)
-    np.testing.assert_array_equal(together.fields["excluded"], alone.fields["excluded"])
-    assert (alone.fields["excluded"] == HELD_OFF).any()
+    together = measure(options, MPI.COMM_WORLD)
+
+    def measure_alone() -> tuple[Array, Array]:
+        alone = measure(options)
+        return alone.displacement, alone.fields["excluded"]
+
+    displacement, states = make_on_root(measure_alone)
+    np.testing.assert_array_equal(together.fields["excluded"], states)
+    assert (states == HELD_OFF).any()
     # Where cells are seen is found from a rough field, which differs by 0.01 px with the start of other subdomains.
-    np.testing.assert_allclose(together.displacement, alone.displacement, atol=2e-2)
+    np.testing.assert_allclose(together.displacement, displacement, atol=2e-2)
 
 
 def test_the_frame_after_one_that_is_held_off_is_searched_for(tmp_path: Path) -> None:

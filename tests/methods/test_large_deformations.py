@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import ddic
 from ddic.kinematics.strain import compute_strain
 from ddic.synth.speckle import SpeckleTexture
+from support.oracles import make_on_root
 
 Array = NDArray[np.float64]
 SIDE = 300
@@ -53,7 +54,7 @@ def test_motions_are_found_by_default(degrees: float, stretch: float) -> None:
     assert len(result.gauss_newton["rms_correction_px"]) <= 5
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("settings", [{}, FREE_EDGES, FREE_EDGES | {"solver": {"weighting": "paper"}}],
                          ids=["plain", "regularized", "weighted as in the paper"])
 def test_all_solvers_find_one_field(settings: dict[str, Any]) -> None:
@@ -61,11 +62,11 @@ def test_all_solvers_find_one_field(settings: dict[str, Any]) -> None:
     # One domain has no interface whose rows the paper weights otherwise; the assembled operator has.
     method = {"method": "assembled", "subdomains": 4} if weighting else {"method": "monolithic"}
     alone = ddic.Options(settings | EXACT | {"solver": method | weighting}, comm=MPI.COMM_SELF)
-    expected = ddic.measure(_pictures(60.0), MESH, options=alone)
+    expected = make_on_root(lambda: ddic.measure(_pictures(60.0), MESH, options=alone).at(MESH.nodes))
     for solver in SOLVERS.values():
         result = ddic.measure(_pictures(60.0), MESH, options=settings | EXACT | {"solver": solver | weighting})
         # The linear steps are solved to 1e-11 of a pixel or so.
-        assert np.abs(result.at(MESH.nodes) - expected.at(MESH.nodes)).max() < 1e-9
+        assert np.abs(result.at(MESH.nodes) - expected).max() < 1e-9
 
 
 @pytest.mark.parametrize("degrees", [3.0, 10.0, 60.0])
@@ -78,7 +79,7 @@ def test_a_rotation_strains_no_free_edge(degrees: float) -> None:
     assert np.abs(strain).max() < 2e-4
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_session_renews_its_operators_as_the_specimen_turns() -> None:
     with ddic.prepare(_pictures(0.0)[0], MESH, options={"solver": {"method": "dual", "subdomains": 4}}) as session:
         for degrees in (0.5, 60.0, 62.0, 0.5):

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import ddic
-from accept.support.cracked_pair import Crack, render_crack
+from accept.support.opened_pair import Crack, render_crack
 from ddic.cli.run import run
 from ddic.errors import SingularSubdomainError
 
@@ -52,7 +52,7 @@ def find_errors(result: ddic.Result, jump: float) -> NDArray[np.float64]:
     return np.hypot(opening.tangential + jump, opening.normal)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(("off", "turn"), [(2.0, 0.0), (-5.0, 0.0), (0.0, 2.0)])
 def test_a_line_that_is_off_is_refined(off: float, turn: float) -> None:
     result = ddic.measure(pair(4.0), MESH, options=options(off, turn))
@@ -114,7 +114,7 @@ def up_to(ahead: float, beside: float = 0.0, **keys: object) -> dict[str, object
     return {"discontinuity": [{"vertices": vertices, "tip_functions": True, **keys}]}
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(("ahead", "beside", "cut_off"), [(-5.0, 0.0, 80.0), (4.0, 0.0, None), (-4.0, 2.5, None)])
 def test_a_tip_that_is_off_is_refined_with_its_line(ahead: float, beside: float, cut_off: float | None) -> None:
     held = {} if cut_off is None else {"regularization": {"cut_off_wavelength": cut_off}}

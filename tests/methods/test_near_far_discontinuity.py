@@ -28,7 +28,7 @@ from support.near_far_cases import (
 )
 
 Array = NDArray[np.float64]
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 MIDDLE = np.array([148.3, 97.9])
 ANGLE = np.deg2rad(21.0)
 TANGENT, NORMAL = np.array([np.cos(ANGLE), np.sin(ANGLE)]), np.array([-np.sin(ANGLE), np.cos(ANGLE)])

@@ -22,7 +22,7 @@ from ddic.results.listener import Silence
 from support.cases import WAVES, Ears, write_case, write_images
 from support.pictures import rms_error_at
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 PGD = "[pgd]\n"
 REGULARIZED = "[regularization]\ncut_off_wavelength = 48.0\n"
 POINTS = np.random.default_rng(0).uniform(24, 168, (500, 2))
@@ -109,7 +109,7 @@ def test_mask_leaves_pixels_out(shared_path: Path) -> None:
     assert rms_error_at(result, WAVES, POINTS[seen]) <= 0.01
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_session_measures_frames_in_turn(shared_path: Path) -> None:
     path = _write(shared_path)
     team = Team(MPI.COMM_WORLD)
@@ -132,7 +132,7 @@ def session_of(team: Team, path: Path) -> ddic.Result:
         return session.measure(frame)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_start_from_an_earlier_result_of_either_method(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
     for name, more in (("products", PGD), ("nodes", '[solver]\nmethod = "assembled"\n')):
@@ -151,7 +151,7 @@ def test_start_from_an_earlier_result_of_either_method(shared_path: Path) -> Non
         assert rms_error_at(ddic.open(shared_path / "result.vtkhdf"), WAVES, POINTS) <= 0.01
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_failures_are_raised_on_all_ranks(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
     path = _write(shared_path, "[pgd]\nmax_corrections = 1\nstop_at_noise = false\n[start]\npyramid = false\n")

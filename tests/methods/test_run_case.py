@@ -15,7 +15,7 @@ from ddic.parallel.phases import Phase
 from ddic.parallel.team import Team
 from support.cases import Ears, write_case, write_images
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 KEYS = {"converged", "iterations", "residual_std_grey", "n_dofs", "n_subdomains", "n_ranks", "krylov_iterations",
         "seconds", "peak_memory_bytes"}
 
@@ -105,7 +105,7 @@ def test_without_convergence_nothing_has_the_name_of_the_result(shared_path: Pat
     assert (shared_path / "result.earlier.vtkhdf").read_text() == "an earlier result"
 
 
-@pytest.mark.parallel([2, 3, 4])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize(("solver", "line"), [
     ("subdomains = 1", r"solver\.subdomains: 1 subdomains for \d MPI ranks.*at most 1 ranks"),
     ('partition = "blocks"\nblocks = [1, 1]', r"solver\.blocks: 1 subdomains for \d MPI ranks"),

@@ -24,7 +24,7 @@ from support.cases import Ears, write_case, write_images
 from support.interrupted import assert_equal_results, interrupt
 from support.pictures import pair_of
 
-RANKS = [1, 2, 3]
+RANKS = [1, 3]
 N_FRAMES = 4
 SOLVER = '[solver]\nmethod = "dual"\nsubdomains = 4\ntolerance = 1e-12\ninexact = false\n'
 TIGHT = SOLVER + "[gauss_newton]\ntolerance = 1e-13\nrms_tolerance = 1e-9\n"
@@ -141,7 +141,7 @@ def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, more
     assert_equal_results(whole.parent / "result.vtkhdf", parts.parent / "result.vtkhdf")
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_other_subdomains_search_for_the_next_frame(shared_path: Path) -> None:
     path = write_frames(shared_path / "series")
     interrupt(path, 3)
@@ -159,7 +159,7 @@ def test_other_subdomains_search_for_the_next_frame(shared_path: Path) -> None:
     assert np.abs(off).max() < 0.1
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_frame_that_cannot_be_measured_loses_no_other(shared_path: Path) -> None:
     path = write_frames(shared_path / "series", blank=2)
     with pytest.raises(ConvergenceError, match=r"1 of 4 frames could not be measured: frame 2: .*the others are in"):

@@ -46,7 +46,7 @@ def write_inputs(folder: Path) -> None:
     (folder / "case.toml").write_text(CASE, encoding="utf-8")
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_measured_series_plays(tmp_path: Path) -> None:
     comm = MPI.COMM_WORLD
     folder = comm.bcast(tmp_path)

@@ -24,7 +24,7 @@ from support.near_far_cases import case_text as near_far_text
 from support.petsc_objects import count_live_objects
 from support.pictures import pair_of
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 SIDE = 192
 FIELDS: tuple[DisplacementField, ...] = (
     Sinusoidal((0.3, -0.2), (0.5, 0.4), (256.0, 320.0), (320.0, 256.0)),
@@ -117,7 +117,7 @@ def test_a_frame_can_start_from_an_earlier_one(shared_path: Path) -> None:
     assert len(again.records) == 1
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_the_frame_that_is_known_beforehand_is_not_searched_twice(shared_path: Path) -> None:
     team = Team.world()
     write_frames(team, shared_path, BLOCKS + TIGHT + REGULARIZED)
@@ -158,7 +158,7 @@ def test_only_subdomains_that_lose_pixels_are_renewed(shared_path: Path, method:
         assert np.abs(field - separate).max() <= SAME_PX
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_as_many_other_pixels_renew_as_well(shared_path: Path) -> None:
     # The left half of block 4 in the first frame, its right half in the second: M that lacks the half that is
     # shown would overshoot there a hundred times.
@@ -209,7 +209,7 @@ def test_a_subdomain_that_is_hidden_altogether_is_not_measured_and_comes_back(sh
         assert np.abs(field - whole_field(measure(team, shared_path / f"{number}.toml"))).max() <= SAME_PX
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("method", ["dual", "assembled", "conjugate_gradient"])
 def test_nothing_of_petsc_is_left_by_frames(shared_path: Path, method: str) -> None:
     team = Team.world()
@@ -228,7 +228,7 @@ def test_nothing_of_petsc_is_left_by_frames(shared_path: Path, method: str) -> N
     assert count_live_objects(team, shared_path) == before
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_two_cameras_measure_frames(shared_path: Path) -> None:
     team = Team.world()
     moved = NearField(motion=PLAIN.motion)
@@ -253,7 +253,7 @@ def test_two_cameras_measure_frames(shared_path: Path) -> None:
         np.testing.assert_allclose(measured.motions[0].alpha, separate.motions[0].alpha, rtol=0, atol=SAME_PX)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_the_first_frame_tells_the_noise_of_two_cameras(shared_path: Path) -> None:
     team = Team.world()
     text = near_far_text(near_section())
@@ -275,7 +275,7 @@ def test_the_first_frame_tells_the_noise_of_two_cameras(shared_path: Path) -> No
     np.testing.assert_allclose(first.noise, (3.0, 1.5), rtol=0.15)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_session_that_is_closed_measures_nothing(shared_path: Path) -> None:
     team = Team.world()
     write_frames(team, shared_path, BLOCKS + REGULARIZED)

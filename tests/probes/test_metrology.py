@@ -9,8 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 import ddic
-from ddic.probes.displacement_chain import DisplacementChain, find_chain
-from ddic.probes.metrology import find_displacement_resolution, find_strain_noise, find_strain_resolution
+from ddic.probes.metrology import (
+    DisplacementChain,
+    find_chain,
+    find_displacement_resolution,
+    find_strain_noise,
+    find_strain_resolution,
+)
 from probes.conftest import MakeResult
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import ddic
+from ddic.cli.info import report
 from ddic.cli.probe import probe
-from ddic.cli.report import report
 from ddic.io.series_reader import read_frames
 from support.commands import ddic as run_command
 

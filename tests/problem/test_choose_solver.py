@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from ddic.case.loader import load_case
-from ddic.inputs.cameras import open_cameras, open_in_headers
+from ddic.inputs.cameras import open_cameras
 from ddic.inputs.inputs import Inputs, SolverChoice
 from ddic.inputs.mesh_source import build_meshes
+from ddic.io.image_file import open_image
 from ddic.io.result_reader import read_result
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
@@ -36,7 +37,7 @@ def choose(folder: Path, solver: str = "", more: str = "", n_ranks: int = 2, mem
     if not (folder / "f.tif").exists():
         write_images(folder)
     case = load_case(write_case(folder, f"[solver]\n{solver}\n{more}")).case
-    cameras = open_cameras(case, open_in_headers)
+    cameras = open_cameras(case, open_image)
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height), **changes)
     return weigh_candidates(build_region_mesh(inputs), n_ranks, memory)
@@ -130,7 +131,7 @@ def test_the_dual_method_is_split_as_is_fastest(tmp_path: Path, monkeypatch: pyt
     assert (chosen.method, chosen.subdomains, chosen.preconditioner) == ("dual", 10, "two_level")
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("more", ["", LONG], ids=["alone", "regularized"])
 def test_the_field_is_that_of_a_stated_method(shared_path: Path, more: str) -> None:
     team = Team.world()
@@ -145,7 +146,7 @@ def test_the_field_is_that_of_a_stated_method(shared_path: Path, more: str) -> N
     assert largest_difference(*fields) <= 1e-4
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_result_and_summary_say_what_was_asked_and_what_was_used(shared_path: Path) -> None:
     team = Team.world()
     if team.is_root:
@@ -162,7 +163,7 @@ def test_result_and_summary_say_what_was_asked_and_what_was_used(shared_path: Pa
     assert sum(line.startswith('solver.method = "auto" takes dual') for line in summary["notes"]) == 1
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_conjugate_gradients_that_take_too_long_give_way_to_a_factor(shared_path: Path,
                                                                      monkeypatch: pytest.MonkeyPatch) -> None:
     """Two iterations are never enough; they are chosen because factors are said to take an hour."""

@@ -12,7 +12,7 @@ from ddic.parallel.team import Team
 from support.cases import WAVES, write_case, write_images
 from support.measuring import field_on_one_rank, measure, whole_field
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 TIGHT = "[gauss_newton]\ntolerance = 1e-10\nrms_tolerance = 0.0\nmax_iterations = 2000\n"
 UNKNOWN_EDGES = "[regularization]\ncut_off_wavelength = 64.0\n"
 FREE_EDGES = "[regularization]\ncut_off_wavelength = 64.0\nnot_controlled = []\n"

@@ -11,18 +11,19 @@ from numpy.typing import NDArray
 from ddic.errors import ConvergenceError, is_collective
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.view import FrameView, View
+from ddic.functionals.view import View
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.images.window import Window
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.correction_size import Tolerances
 from ddic.synth.fields import Translation
+from support.fields import field_of
 from support.one_subdomain import measure_alone, model_of
 from support.pictures import pair_of, rms_error, source, square_mesh
 
@@ -38,7 +39,7 @@ def model(reference: MaskedSource, deformed: MaskedSource, correction: GreyCorre
 
 def n_pixels(pair_model: ResidualModel) -> int:
     """Of the reference image."""
-    return pair_model.views[0].reference.own.n_pixels
+    return pair_model.views[0][0].n_pixels
 
 
 @pytest.mark.parametrize("far", [500.0, -500.0, 1e12])
@@ -57,7 +58,7 @@ def test_pixels_that_leave_the_image_are_left_out_and_counted() -> None:
     pair_model = model(source(pair.reference), source(pair.deformed), mesh=mesh)
     rows, columns = np.unique(MESH.nodes[:, 1]), 144
     exact = np.tile([10.0, 0.0], mesh.n_nodes)
-    grey, = pair_model.evaluate([exact]).grey
+    grey, = pair_model.evaluate(field_of(pair_model, [exact])).grey
     assert len(rows) == 10
     # Columns 47 to 190 or 191 of 144 or 145 rows, whichever the fill rule gives the edges.
     lost = n_pixels(pair_model) - grey.n_pixels
@@ -168,16 +169,13 @@ def test_subdomains_that_share_a_window_read_it_once_an_iteration() -> None:
     subdomains = build_subdomains(NodalRegion(MESH), parts, np.zeros(MESH.n_dofs, dtype=bool))
     counted = _Counted(image.image)
     deformed = DeformedSubImage(MaskedSource(counted), 3)
-    views = []
-    for subdomain in subdomains:
-        view = View(read_correlation(subdomain.mesh, image, 3), subdomain.kinematics)
-        views.append(FrameViews(ReferenceViews(subdomain, (view,)), (FrameView(view, deformed),)))
-    shared = ResidualModel(Team.alone(), views, "none")
+    views = ByView([View(read_correlation(s.mesh, image, 3), s.kinematics).open_frame(deformed)] for s in subdomains)
+    shared = ResidualModel(Team.alone(), subdomains, views, "none")
     for n_reads, shift in enumerate((0.0, 15.0, -15.0), start=1):
-        shared.evaluate([np.full(s.n_unknowns, shift) for s in subdomains])
+        shared.evaluate(field_of(shared, [np.full(s.n_unknowns, shift) for s in subdomains]))
         assert counted.n_reads == n_reads
     # One of them alone looks into what all of them hold; where it leaves that, the window grows.
-    alone = ResidualModel(Team.alone(), views[1:2], "none", keeps_windows=True)
+    alone = ResidualModel(Team.alone(), subdomains[1:2], ByView(views[1:2]), "none", keeps_windows=True)
     for n_reads, shift in ((3, -14.0), (4, 15.0), (4, -15.0)):
-        alone.evaluate([np.full(subdomains[1].n_unknowns, shift)])
+        alone.evaluate(field_of(alone, [np.full(subdomains[1].n_unknowns, shift)]))
         assert counted.n_reads == n_reads

@@ -14,7 +14,7 @@ from ddic.parallel.team import Team
 from support.cases import write_case, write_images
 from support.measuring import measure
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 MORE = "[regularization]\ncut_off_wavelength = 48.0\n[solver]\nsubdomains = 4\n"
 
 

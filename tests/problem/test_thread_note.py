@@ -20,7 +20,7 @@ from ddic.problem import views
 from ddic.problem.reference_problem import list_own_cores, note_crowded_cores
 from support.cases import Ears, case_text, contents, write_case, write_images
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 
 
 def _on_cores(monkeypatch: pytest.MonkeyPatch, cores: set[int]) -> None:
@@ -69,7 +69,7 @@ def test_case_has_one_thread_unless_it_asks_for_more() -> None:
         parse_case(case_text("[solver]\nthreads = 0"), Path("case.toml"))
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_threads_of_the_case_reach_the_pixels_and_change_no_digit(shared_path: Path,
                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
     team = Team.world()

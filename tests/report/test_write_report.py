@@ -14,19 +14,24 @@ import pytest
 from click.testing import CliRunner
 
 import ddic
-from accept.report_page import LEAST_LIKENESS, find_smallest_type
-from accept.support.browser import find_browser, probe_page, show_page
+from accept.report_page import (
+    LEAST_LIKENESS,
+    find_browser,
+    find_clipped_texts,
+    find_smallest_type,
+    probe_page,
+    show_page,
+)
 from ddic.case.schema import AcquisitionSection
-from ddic.cli.report import report
+from ddic.cli.info import report
 from ddic.errors import ConvergenceError
 from ddic.images.binned import BLUR_NOTE
 from ddic.images.grey_levels import measure_feature_size
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import read_result
-from ddic.plots.canvas import find_clipped_texts
+from ddic.report.gathered import NOT_RECORDED, NOT_STATED, gather_all
 from ddic.report.items import OF_SETUP, find_worst_places, list_statements
 from ddic.report.page import draw_report_figures
-from ddic.report.statement import NOT_RECORDED, NOT_STATED, gather_all
 from support.commands import ddic as run_command
 
 CASE = """
@@ -67,7 +72,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def state(path: Path) -> dict[str, str]:
     """All that a report states, by its name."""
     statements = list_statements(gather_all(read_result(path)))
-    return {name: value for statement in statements for name, value in statement.items}
+    return {name: value for items in statements.values() for name, value in items}
 
 
 def write(folder: Path, *arguments: str) -> str:
@@ -112,7 +117,7 @@ def change(folder: Path, target: Path, *, summary: dict[str, Any] | None = None,
         attributes["uncertainty"] = uncertainty
     (target / "result.json").write_text(json.dumps(json.loads((folder / "result.json").read_text()) | (summary or {})))
     changed = replace(result, path=target / "result.vtkhdf", attributes=attributes)
-    return {name: value for statement in list_statements(gather_all(changed)) for name, value in statement.items}
+    return {name: value for items in list_statements(gather_all(changed)).values() for name, value in items}
 
 
 def test_noise_is_that_which_was_measured(folder: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
@@ -28,8 +29,8 @@ def describe(states: dict[int, int], pixels: int = 0, mesh: Mesh = MESH) -> tupl
     for cell, state in states.items():
         cells[cell] = state
     spots = np.stack([30 + np.arange(pixels), np.full(pixels, 30)], axis=1).astype(np.int64)
-    excluded = replace(Exclusions.nothing(model.views), cells=[(cells,)], pixels=[(spots,)])
-    return describe_exclusions(Team.alone(), model.views, excluded)
+    excluded = replace(Exclusions.nothing(model.views), cells=ByView([[cells]]), pixels=ByView([[spots]]))
+    return describe_exclusions(Team.alone(), model.subdomains, excluded)
 
 
 def cell_at(x: float, y: float, mesh: Mesh = MESH) -> int:

@@ -11,7 +11,7 @@ from ddic.parallel.team import Team
 from ddic.results.summary import find_field_ranges
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_ranges_are_those_of_all_parts() -> None:
     team = Team(MPI.COMM_WORLD)
     parts = []
@@ -26,7 +26,7 @@ def test_ranges_are_those_of_all_parts() -> None:
                             "xy": pytest.approx((0.0, 0.0), abs=1e-12)}
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_ranges_are_those_of_what_was_measured() -> None:
     team = Team(MPI.COMM_WORLD)
     parts = []
@@ -43,7 +43,7 @@ def test_ranges_are_those_of_what_was_measured() -> None:
                             "xy": pytest.approx((0.0, 0.0), abs=1e-12)}
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_there_are_no_ranges_where_nothing_was_measured() -> None:
     mesh = build_structured_mesh((0.0, 0.0, 20.0, 20.0), 10.0, "Q4")
     found = find_field_ranges(Team(MPI.COMM_WORLD), [(mesh, np.full(mesh.n_dofs, np.nan))])

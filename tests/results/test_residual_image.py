@@ -18,7 +18,7 @@ from ddic.parallel.team import Team
 from ddic.results import residual_image
 from ddic.results.residual_image import PackedChunk, Patch, pack_chunks, share_chunks, stream_chunks
 
-RANKS = [1, 2, 3, 4]
+RANKS = [1, 3]
 WIDTH, HEIGHT = 900, 700
 GRID = ChunkGrid(WIDTH, HEIGHT)
 N_PARTS = 7

@@ -45,8 +45,8 @@ def test_copies_that_differ_become_the_field_of_the_dual_step() -> None:
     problem = linear_step(wavelength=WAVELENGTH)
     with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
         rngs = [np.random.default_rng(s.index) for s in cut.subdomains]
-        q = [r.normal(size=len(d)) for r, d in zip(rngs, cut.numbers, strict=True)]
-        b = [problem.b[d] / s.multiplicity for d, s in zip(cut.numbers, cut.subdomains, strict=True)]
+        q = cut.field(r.normal(size=len(d)) for r, d in zip(rngs, cut.numbers, strict=True))
+        b = cut.field(problem.b[d] / s.multiplicity for d, s in zip(cut.numbers, cut.subdomains, strict=True))
         dual = cut.step(DualSettings("scaled", 1e-12, 3000)).solve(q, b)
         step = AssembledStep(cut.team, cut.systems, 0.0)
         assembled = step.solve(q, b)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
@@ -42,8 +43,9 @@ def measure(team: Team, subdomains: list[Subdomain], change: NDArray[np.float64]
     own = split_evenly(np.ones(len(subdomains)), team.size)[team.rank]
     mine = [subdomains[k] for k in own]
     weights = None if deviations is None else weigh_nodes([deviations[s.node_ids] for s in mine])
-    return measure_correction(team, mine, [change[s.node_ids].ravel() for s in mine],
-                              [(field - change)[s.node_ids].ravel() for s in mine], weights, largest)
+    dq = Field(team, mine, [change[s.node_ids].ravel() for s in mine])
+    q = dq.with_parts((field - change)[s.node_ids].ravel() for s in mine)
+    return measure_correction(dq, q, weights, largest)
 
 
 def without_affine_part(field: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -52,6 +52,7 @@ def displacement(tmp_path_factory: pytest.TempPathFactory) -> NDArray[np.float64
     return ddic.open(folder / "result.vtkhdf").displacement
 
 
+@pytest.mark.program
 @pytest.mark.parametrize(("solver", "ranks", "absent"), [
     ("dual", 2, ABSENT[0]), ("dual", 2, ABSENT[1]), ("dual", 0, ABSENT[2]), ("assembled", 0, ABSENT[1]),
     ("assembled", 0, ABSENT[2]), ("monolithic", 0, ABSENT[2])])
@@ -66,6 +67,7 @@ def test_the_field_is_measured_with_what_is_there(tmp_path: Path, solver: str, r
     assert len(told) == (local and "suitesparse" in absent) + (mumps and "mumps" in absent)
 
 
+@pytest.mark.program
 @pytest.mark.parametrize(("solver", "ranks", "words"), [
     ("assembled", 2, ('solver.method = "assembled"', "2 MPI ranks", '"conjugate_gradient"')),
     ("sparse", 0, ('solver.local_inverse = "sparse"', '"auto"')),
@@ -79,6 +81,7 @@ def test_what_needs_mumps_is_refused_by_one_line(tmp_path: Path, solver: str, ra
     assert sorted(path.name for path in folder.iterdir()) == ["case.toml", "f.tif", "g.tif"]
 
 
+@pytest.mark.program
 @pytest.mark.skipif(not has_package("superlu_dist"), reason="needs another parallel package")
 def test_a_package_that_the_user_names_is_taken(tmp_path: Path, displacement: NDArray[np.float64]) -> None:
     options = ("-assembled_pc_type", "lu", "-assembled_pc_factor_mat_solver_type", "superlu_dist")

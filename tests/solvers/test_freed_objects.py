@@ -13,17 +13,16 @@ from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.parallel.team import Team
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.build_preconditioner import Preconditioner
-from ddic.solvers.dual.continuity import average_copies
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.dual.preconditioner import LocalInverseKind, SparseInverse
+from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, SparseInverse
+from ddic.solvers.exchange import average_copies
 from ddic.solvers.linear_step import AllowedError
 from ddic.solvers.local_operator import LocalOperator
 from support.linear import Decomposed, StepProblem, linear_step, split
 from support.petsc_objects import count_live_objects
 from support.textureless import corner, without_texture
 
-RANKS = [1, 2, 3]
+RANKS = [1, 3]
 
 
 def _cut(problem: StepProblem) -> Decomposed:
@@ -46,7 +45,7 @@ def _count_growth(folder: Path, work: Callable[[], None]) -> dict[str, int]:
 def _solve_twice(cut: Decomposed, step: DualStep | AssembledStep | ConjugateGradientStep) -> None:
     for allowed in (AllowedError(1e-2), None):
         result = cut.solve(step, allowed=allowed)
-    average_copies(cut.team, cut.subdomains, result.dq)
+    average_copies(result.dq)
 
 
 @pytest.mark.parallel(RANKS)

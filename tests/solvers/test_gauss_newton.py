@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from ddic.functionals.grey_statistics import GreyState
 from ddic.functionals.view import View
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
@@ -21,7 +22,6 @@ from ddic.solvers.gauss_newton import (
     PATIENCE,
     AndersonMixing,
     Correction,
-    Course,
     IterationRecord,
     Progress,
     Solution,
@@ -33,6 +33,7 @@ from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import MonolithicStep
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal, Translation
+from support.fields import field_of, plain_field
 from support.one_subdomain import measure_alone, model_of, system_of
 from support.pictures import pair_of, rms_error, source, square_mesh
 
@@ -41,7 +42,7 @@ STILL = Translation((0.0, 0.0))
 
 
 def own_view(pair_model: ResidualModel) -> View:
-    return pair_model.views[0].reference.own
+    return pair_model.views[0][0]
 
 
 def model(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh = MESH, degree: int = 3) -> ResidualModel:
@@ -94,7 +95,7 @@ def test_records_count_and_describe_the_iterations() -> None:
     system = system_of(pair_model)
     operator = LocalOperator(system.hessian, smallest_eigenvalue=0, where="test")
     clock = PhaseClock()
-    q = [np.zeros(MESH.n_dofs)]
+    q = field_of(pair_model, [np.zeros(MESH.n_dofs)])
     solution = gauss_newton(pair_model, q, MonolithicStep(system, operator), Tolerances(),
                             Progress(clock, told.append))
     operator.destroy()
@@ -138,9 +139,8 @@ class _Broken:
     def __init__(self, value: float) -> None:
         self._value = value
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        return StepResult([np.full_like(q_s, self._value) for q_s in q], 0, np.zeros(0), 0.0)
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        return StepResult(q.with_parts(np.full_like(q_s, self._value) for q_s in q))
 
     def destroy(self) -> None:
         pass
@@ -152,8 +152,8 @@ def test_a_correction_that_is_not_finite_is_divergence(value: float) -> None:
     image = source(pair_of(STILL).reference)
     pair_model = model(image, image)
     with pytest.raises(ConvergenceError, match="diverged: the correction is not finite") as caught:
-        gauss_newton(pair_model, [np.zeros(MESH.n_dofs)], _Broken(value), Tolerances(),
-                     Progress(PhaseClock(), stay_silent))
+        gauss_newton(pair_model, field_of(pair_model, [np.zeros(MESH.n_dofs)]), _Broken(value), Tolerances(),
+                     Progress(PhaseClock()))
     assert is_collective(caught.value)
     # The last unknowns that are numbers: those of the start.
     assert (caught.value.last.q[0] == 0).all()
@@ -166,8 +166,8 @@ def test_the_window_grows_with_the_displacement() -> None:
     pair = pair_of(field, side=256)
     mesh = square_mesh(64.0, 160.0)
     pair_model = model(source(pair.reference), source(pair.deformed), mesh)
-    frame_view = pair_model.views[0].views[0]
-    frame_view.deformed.get_spline(frame_view.view.correlation.raster.window)  # the window of a start at zero
+    frame_view = pair_model.views[0][0]
+    frame_view.deformed.get_spline(frame_view.correlation.raster.window)  # the window of a start at zero
     near = np.tile([-29.5, 30.5], mesh.n_nodes)
     solution = measure_alone(pair_model, q=near)
     assert rms_error(solution.q[0], mesh.nodes, field) <= 2e-3
@@ -197,11 +197,10 @@ class _Made:
         self._sizes = sizes
         self.n_asked = 0
 
-    def linearize(self, q: Sequence[NDArray[np.float64]]) -> tuple[list[NDArray[np.float64]], tuple[GreyState, ...]]:
-        return [np.zeros_like(q_s) for q_s in q], (GreyState(1.0, 1.0, 100, 1.0, 0.0),)
+    def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
+        return q.with_parts(np.zeros_like(q_s) for q_s in q), (GreyState(1.0, 1.0, 100, 1.0, 0.0),)
 
-    def measure_correction(self, dq: Sequence[NDArray[np.float64]], q: Sequence[NDArray[np.float64]],
-                           tolerances: Tolerances) -> CorrectionSize:
+    def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         size = self._sizes(self.n_asked)
         self.n_asked += 1
         return CorrectionSize(size, size, size, 0, size, int(size > tolerances.largest))
@@ -210,7 +209,7 @@ class _Made:
 def run_made(sizes: Callable[[int], float], most: int = 2000) -> Solution:
     made = _Made(sizes)
     tolerances = Tolerances(relative=1e-12, rms=1e-6, max_iterations=most, inexact=False)
-    solution = run_gauss_newton(made, [np.zeros(2)], _Broken(0.0), tolerances, Progress(PhaseClock(), stay_silent))
+    solution = run_gauss_newton(made, plain_field(np.zeros(2)), _Broken(0.0), tolerances, Progress(PhaseClock()))
     assert made.n_asked == len(solution.records)
     return solution
 
@@ -259,18 +258,16 @@ class _Linear:
         self.shares[:3] = 0.1, 0.25, 1.6
         self.n_passes = 0
 
-    def linearize(self, q: Sequence[NDArray[np.float64]]) -> tuple[list[NDArray[np.float64]], tuple[GreyState, ...]]:
+    def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
         self.n_passes += 1
-        return [self.shares * (self.solution - q[0])], (GreyState(1.0, 1.0, 100, 1.0, 0.0),)
+        return q.with_parts([self.shares * (self.solution - q[0])]), (GreyState(1.0, 1.0, 100, 1.0, 0.0),)
 
-    def measure_correction(self, dq: Sequence[NDArray[np.float64]], q: Sequence[NDArray[np.float64]],
-                           tolerances: Tolerances) -> CorrectionSize:
+    def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         size = float(np.sqrt((dq[0]**2).mean()))
         return CorrectionSize(size, size, size, 0, size, int(size > tolerances.largest))
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        return StepResult([np.array(b_s) for b_s in b], 0, np.zeros(1), 0.0)
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        return StepResult(b, 0, np.zeros(1), 0.0)
 
     def destroy(self) -> None:
         pass
@@ -283,7 +280,7 @@ def run_linear(q: NDArray[np.float64], pause: Callable[[Correction], bool] | Non
                mixing: AndersonMixing | None = None, tolerances: Tolerances = EXACTLY) -> Solution:
     made = _Linear()
     progress = Progress(PhaseClock(), stay_silent, n_before)
-    return run_gauss_newton(made, [q], made, tolerances, progress, Course(pause, mixing))
+    return run_gauss_newton(made, plain_field(q), made, tolerances, progress, pause, mixing)
 
 
 def test_a_pause_ends_after_the_correction_that_asks_for_it() -> None:
@@ -322,7 +319,7 @@ def test_nothing_pauses_after_a_correction_that_is_small_enough() -> None:
 
 def test_mixing_finds_the_same_in_fewer_passes() -> None:
     plain = run_linear(np.zeros(30))
-    mixed = run_linear(np.zeros(30), mixing=AndersonMixing(Team.alone(), [np.ones(30)]))
+    mixed = run_linear(np.zeros(30), mixing=AndersonMixing([np.ones(30)]))
     # 10 % an iteration takes 22 a digit; three slow directions are known after four corrections.
     assert len(plain.records) > 100
     assert len(mixed.records) <= 7
@@ -332,9 +329,9 @@ def test_mixing_finds_the_same_in_fewer_passes() -> None:
 
 def test_the_last_correction_is_not_mixed() -> None:
     # What is small enough is added as it is: the field is that of the last pass and its linear step.
-    found = run_linear(np.zeros(30), mixing=AndersonMixing(Team.alone(), [np.ones(30)]))
+    found = run_linear(np.zeros(30), mixing=AndersonMixing([np.ones(30)]))
     made = _Linear()
-    before_last = run_linear(np.zeros(30), mixing=AndersonMixing(Team.alone(), [np.ones(30)]),
+    before_last = run_linear(np.zeros(30), mixing=AndersonMixing([np.ones(30)]),
                              tolerances=Tolerances(relative=1e-30, rms=1e-30, max_iterations=len(found.records) - 1))
     q = before_last.q[0]
     np.testing.assert_array_equal(found.q[0], q + made.shares * (made.solution - q))

@@ -16,7 +16,7 @@ def test_solves_equation_11(wavelength: float | None) -> None:
     whole = np.zeros(problem.mesh.n_cells, dtype=np.int64)
     with Decomposed(Team.alone(), problem, whole, "consistent") as cut:
         system = cut.systems[0]
-        result = MonolithicStep(system, cut.operators[0]).solve([problem.q], [problem.b])
+        result = MonolithicStep(system, cut.operators[0]).solve(cut.field([problem.q]), cut.field([problem.b]))
         matrix, right = dense(system.hessian), problem.b
         if system.controlled_stiffness is not None:
             kbar = dense(system.controlled_stiffness)

@@ -1,4 +1,4 @@
-"""The steps on the whole mesh with near and far cameras against the saddle point of Eq. 23 of [BP17]."""
+"""The steps on the whole mesh with near and far cameras against the saddle point of Eq. 21 of [BP17] with one gap."""
 
 from __future__ import annotations
 

@@ -13,10 +13,10 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.correction_size import measure_rms, measure_unit_size
-from ddic.solvers.dual.build_preconditioner import Preconditioner
-from ddic.solvers.dual.continuity import average_copies
+from ddic.solvers.correction_size import measure_unit_size
 from ddic.solvers.dual.dual_step import DualSettings
+from ddic.solvers.dual.preconditioner import Preconditioner
+from ddic.solvers.exchange import average_copies
 from ddic.solvers.linear_step import LinearStep
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 
@@ -80,7 +80,7 @@ def test_dual_equals_monolithic_with_fewer_unknowns_at_some_nodes(preconditioner
     with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         result = cut.solve(cut.step(DualSettings(preconditioner, 1e-12, 3000)))
         error = cut.relative_error(result.dq, reference)
-        rms = measure_rms(cut.team, cut.subdomains, result.dq)
+        rms = result.dq.measure_rms()
     assert error <= SAME
     assert result.krylov_iterations > 0
     # Of nodes and not of unknowns, each node counted once.
@@ -124,6 +124,6 @@ def test_jumps_of_modes_are_told_in_pixels() -> None:
     with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
         # The first unknown moves everything by 3 px; copies of it differ by 0.1 from subdomain to subdomain.
         q = [np.where(np.arange(s.n_field) == 0, 0.1 * s.index, 0.0) for s in cut.subdomains]
-        found = average_copies(cut.team, cut.subdomains, q)
+        found = average_copies(cut.field(q))
     assert found.largest_jump == pytest.approx(0.9, rel=1e-12)
     assert all(q_s[0] == pytest.approx(0.15, rel=1e-12) for q_s in found.q)

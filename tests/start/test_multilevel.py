@@ -7,11 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from ddic.case.schema import StartSection
 from ddic.images.rigid import build_uniform_field
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair, choose_block_sizes
-from ddic.start.multilevel import SURE, MultilevelStart, Stages, correlate_level, find_multilevel_start
+from ddic.start.multilevel import SURE, MultilevelStart, Pyramid, correlate_level, find_multilevel_start
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
 
@@ -27,8 +28,8 @@ def _pair(reference: np.ndarray, deformed: np.ndarray) -> BinnedPair:
 def _start(field: DisplacementField, *, rigid: bool = True, features: bool = False,
            pyramid: bool = True) -> MultilevelStart:
     pair = pair_of(field, SIDE, 8)
-    return find_multilevel_start(_pair(pair.reference, pair.deformed), MESH,
-                                 Stages(rigid, features, pyramid), "none")
+    return find_multilevel_start(Pyramid(_pair(pair.reference, pair.deformed), MESH, "none"),
+                                 StartSection(rigid=rigid, features=features, pyramid=pyramid))
 
 
 def _turned(degrees: float, centre: tuple[float, float]) -> Affine:
@@ -69,7 +70,8 @@ def test_the_pyramid_follows_a_rotation_of_3_degrees() -> None:
     side, mesh = 576, square_mesh(96.0, 480.0)
     field = _turned(3.0, ((side - 1) / 2, (side - 1) / 2))
     pair = pair_of(field, side, 8)
-    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, Stages(features=False), "none")
+    start = find_multilevel_start(Pyramid(_pair(pair.reference, pair.deformed), mesh, "none"),
+                                  StartSection(features=False))
     assert start.levels == (16, 8, 4, 2)
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.2
 
@@ -80,7 +82,7 @@ def test_a_translation_that_explains_the_whole_region_on_coarser_blocks_is_refin
     side, mesh = 800, square_mesh(40.0, 760.0)
     field = Affine(((0.008, 0.0), (0.0, -0.003)), (9.3, -6.2), (399.5, 399.5))
     pair = pair_of(field, side, 8)
-    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, Stages(), "none")
+    start = find_multilevel_start(Pyramid(_pair(pair.reference, pair.deformed), mesh, "none"), StartSection())
     assert start.rigid[0].coefficient < SURE
     assert start.levels == (8, 4, 2)
     assert start.n_matches == 0
@@ -89,7 +91,7 @@ def test_a_translation_that_explains_the_whole_region_on_coarser_blocks_is_refin
     # A twentieth of the region that moves by itself, by three blocks of 8 px, is no matter of refinement.
     deformed = pair.deformed.copy()
     deformed[60:220, 60:220] = np.roll(pair.deformed, 25, axis=0)[60:220, 60:220]
-    assert find_multilevel_start(_pair(pair.reference, deformed), mesh, Stages(), "none").n_matches > 0
+    assert find_multilevel_start(Pyramid(_pair(pair.reference, deformed), mesh, "none"), StartSection()).n_matches > 0
 
 
 def test_each_stage_can_be_switched_off() -> None:
@@ -109,14 +111,14 @@ def test_a_gain_between_the_images_does_not_disturb_the_rigid_stage() -> None:
     field = Translation((12.0, -7.0))
     pair = pair_of(field, SIDE, 8)
     dimmed = 0.5 * pair.deformed.astype(np.float32) + 60
-    start = find_multilevel_start(_pair(pair.reference, dimmed), MESH, Stages(), "global")
+    start = find_multilevel_start(Pyramid(_pair(pair.reference, dimmed), MESH, "global"), StartSection())
     assert _error(start, field) <= 0.1
     assert start.warnings == ()
 
 
 def test_images_without_texture_give_a_still_start_and_say_so() -> None:
     flat = np.full((SIDE, SIDE), 100.0, dtype=np.float32)
-    start = find_multilevel_start(_pair(flat, flat), MESH, Stages(), "none")
+    start = find_multilevel_start(Pyramid(_pair(flat, flat), MESH, "none"), StartSection())
     assert start.rigid == ()
     assert start.levels == ()
     assert "no rigid translation stands out" in start.warnings[0]
@@ -143,7 +145,8 @@ def test_slivers_at_the_edge_of_a_ragged_region_do_not_stop_a_level(
     # Cells of the pyramid with a few blocks were singular here: one level lost, 8 px of error; two lost, 0.8 px.
     field = Affine(((0.02, 0.0), (0.0, -0.02)), (3.0, -4.0), CENTRE)
     mesh, pair = build_structured_mesh((60.0, 60.0, 324.0, 324.0), 12.0, "Q4", circles=circles), pair_of(field, SIDE, 8)
-    start = find_multilevel_start(_pair(pair.reference, pair.deformed), mesh, Stages(features=False), "none")
+    start = find_multilevel_start(Pyramid(_pair(pair.reference, pair.deformed), mesh, "none"),
+                                  StartSection(features=False))
     assert not any("left out" in line for line in start.warnings), start.warnings
     # Blocks of 2 px see half of the speckle; 0.012 to 0.021 px on twenty such regions.
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.05
@@ -165,8 +168,8 @@ def test_a_region_as_large_as_the_image_is_measured(size: tuple[int, int]) -> No
     field = Affine(((0.01, 0.0), (0.0, -0.01)), (2.0, -1.0), CENTRE)
     pair = pair_of(field, SIDE, 8)
     mesh = build_structured_mesh((0.0, 0.0, width - 1.0, height - 1.0), 16.0, "Q4")
-    start = find_multilevel_start(_pair(pair.reference[:height, :width], pair.deformed[:height, :width]), mesh,
-                                  Stages(), "none")
+    cropped = _pair(pair.reference[:height, :width], pair.deformed[:height, :width])
+    start = find_multilevel_start(Pyramid(cropped, mesh, "none"), StartSection())
     assert start.levels[-1] == 2
     assert not any("left out" in line for line in start.warnings), start.warnings
     # Beyond the last block the field goes on as it ends there: 8 px of 1 % of strain.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ddic.case.schema import StartSection
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_displacement import CutField, evaluate_at_nodes
-from ddic.start.multilevel import MultilevelStart, Pyramid, Stages
+from ddic.start.multilevel import MultilevelStart, Pyramid
 from ddic.start.start_from_given import find_start_from_given
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, source, square_mesh
@@ -15,7 +16,7 @@ from support.pictures import pair_of, source, square_mesh
 SIDE = 576
 MESH = square_mesh(144.0, 432.0)
 CENTRE = (287.5, 287.5)
-STAGES = Stages()
+STAGES = StartSection()
 
 
 def _linear(gradient: list[list[float]], shift: tuple[float, float] = (0.0, 0.0)) -> Affine:
@@ -29,7 +30,7 @@ def _given(field: DisplacementField) -> CutField:
     return CutField(MESH, field.displacement(MESH.nodes))
 
 
-def _find(given: CutField, truth: DisplacementField, stages: Stages = STAGES) -> MultilevelStart:
+def _find(given: CutField, truth: DisplacementField, stages: StartSection = STAGES) -> MultilevelStart:
     pair = pair_of(truth, SIDE, 8)
     pyramid = Pyramid(BinnedPair(source(pair.reference), source(pair.deformed), 1), MESH, "none")
     return find_start_from_given(given, pyramid, stages)
@@ -60,11 +61,11 @@ def test_a_frame_that_jumps_by_50_px_moves_the_field_on() -> None:
 def test_the_error_chooses_the_levels() -> None:
     # Without translations; 4 % of strain is 6 px at the ends, which blocks of 2 px do not reach.
     later = _linear([[0.06, 0.0], [0.0, -0.02]], (4.0, -3.0))
-    found = _find(_given(STRAINED), later, Stages(rigid=False, features=False))
+    found = _find(_given(STRAINED), later, StartSection(rigid=False, features=False))
     assert found.levels == (8, 4, 2)
     assert _error(found, later) <= 0.1
     nearer = _linear([[0.028, 0.0], [0.0, -0.008]], (4.0, -3.0))
-    assert _find(_given(STRAINED), nearer, Stages(rigid=False, features=False)).levels == (2,)
+    assert _find(_given(STRAINED), nearer, StartSection(rigid=False, features=False)).levels == (2,)
 
 
 def test_a_field_worse_than_none_is_not_used_and_the_log_says_so() -> None:
@@ -119,6 +120,6 @@ def test_a_repetitive_texture_is_gone_on_from_where_it_is_given(truth: float) ->
 
 def test_without_the_pyramid_the_translation_is_all() -> None:
     later = _linear([[0.02, 0.0], [0.0, -0.006]], (24.0, -13.0))
-    found = _find(_given(STRAINED), later, Stages(pyramid=False))
+    found = _find(_given(STRAINED), later, StartSection(pyramid=False))
     assert found.levels == ()
     assert _error(found, later) <= 0.15

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ddic.case.schema import StartSection
 from ddic.images.binned import bin_image
 from ddic.images.rigid import GridField
 from ddic.images.window import Window
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.binned_pair import BinnedPair, PixelPair
+from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_displacement import CutField, evaluate_at_nodes, move_field, move_mesh
-from ddic.start.multilevel import MultilevelStart, Stages, bin_surroundings, can_bin_finer, find_multilevel_start
+from ddic.start.multilevel import MultilevelStart, Pyramid, bin_surroundings, can_bin_finer, find_multilevel_start
 from ddic.synth.fields import Affine
 from support.pictures import pair_of, rms_error, source
 
@@ -41,9 +42,9 @@ def _embed(values: np.ndarray, seed: int) -> np.ndarray:
 
 def _start(degrees: float, *, with_pixels: bool) -> MultilevelStart:
     drawn = pair_of(_turned(degrees)[0], SMALL, 8)
-    pixels = PixelPair(source(_embed(drawn.reference, 0)), source(_embed(drawn.deformed, 1)))
+    pixels = BinnedPair(source(_embed(drawn.reference, 0)), source(_embed(drawn.deformed, 1)), 1)
     pair = BinnedPair(bin_image(pixels.reference, 4), bin_image(pixels.deformed, 4), 4, pixels if with_pixels else None)
-    return find_multilevel_start(pair, MESH, Stages(), "none")
+    return find_multilevel_start(Pyramid(pair, MESH, "none"), StartSection())
 
 
 @pytest.mark.parametrize("degrees", [5.0, 20.0, 60.0])
@@ -62,7 +63,7 @@ def test_a_small_region_in_a_large_image_starts_as_in_a_small_one(degrees: float
 
 def test_a_region_that_fills_the_image_is_seen_no_finer() -> None:
     blank = source(np.zeros((SIDE, SIDE), dtype=np.float32))
-    pixels = PixelPair(blank, blank)
+    pixels = BinnedPair(blank, blank, 1)
     assert can_bin_finer(pixels, MESH)
     assert not can_bin_finer(pixels, build_structured_mesh((0.0, 0.0, SIDE - 1.0, SIDE - 1.0), 64.0))
 
@@ -74,7 +75,7 @@ def test_surroundings_are_blocks_of_the_images(translation: tuple[float, float])
     f, g = (random.uniform(0.0, 255.0, shape).astype(np.float32) for _ in range(2))
     mask = random.uniform(size=shape) > 0.02
     mesh = build_structured_mesh((300.0, 10.0, 800.0, 60.0), 10.0)
-    seen = bin_surroundings(PixelPair(source(f, mask), source(g)), mesh, np.array(translation))
+    seen = bin_surroundings(BinnedPair(source(f, mask), source(g), 1), mesh, np.array(translation))
     factor = seen.pair.factor
     for part, image, begin in ((seen.pair.reference, f, seen.origin),
                                (seen.pair.deformed, g, seen.origin + seen.translation)):

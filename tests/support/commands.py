@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from accept.support.launcher_lines import drop_launcher_lines
+from accept.support.ended_job import drop_launcher_lines
 
 LIMIT = 60.0
 """Seconds after which a job counts as hanging; it takes two or three."""
@@ -78,8 +78,9 @@ def ddic(*arguments: str | Path, ranks: int = 0) -> Finished:
 def driven(driver: str, folder: Path) -> list[str]:
     """Command that runs Python code, then ``ddic run`` on the folder's case.toml."""
     script = folder.parent / f"{folder.name}_driver.py"
-    script.write_text(driver + "\nimport sys\nfrom ddic.cli.app import main\n"
-                               f"sys.argv = ['ddic', 'run', {str(folder / 'case.toml')!r}]\nmain()\n", encoding="utf-8")
+    script.write_text(driver + "\nimport sys\nfrom ddic.cli.app import command_line\n"
+                               f"sys.argv = ['ddic', 'run', {str(folder / 'case.toml')!r}]\ncommand_line()\n",
+                      encoding="utf-8")
     return [sys.executable, str(script)]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -19,17 +19,19 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain, Weighting, interface_weights
-from ddic.solvers.dual.dual_problem import DualProblem, build_dual_problem
+from ddic.solvers.dual.dual_problem import DualProblem
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from support.oracles import make_on_root
 from support.pictures import source
 
 CELL = 8.0
@@ -119,13 +121,18 @@ def split(mesh: Mesh, kind: str, n_subdomains: int) -> NDArray[np.int64]:
 
 
 def one_domain_solution(problem: StepProblem, parts: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:
-    """dq of the monolithic step; "paper" weights the interface rows of Kbar by 1/sqrt(m)."""
+    """dq of the monolithic step; "paper" weights the interface rows of Kbar by 1/sqrt(m); collective."""
+    return make_on_root(lambda: _solve_one_domain(problem, parts, weighting))
+
+
+def _solve_one_domain(problem: StepProblem, parts: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:
     whole = build_subdomains(problem.region, np.zeros(problem.mesh.n_cells, np.int64), problem.controlled)[0]
     m = share_unknowns(share_nodes(problem.mesh, parts), problem.region).multiplicity
     system = problem.system(whole, 1 / np.sqrt(m) if weighting == "paper" else np.ones(len(m)))
     operator = LocalOperator(system.operator, smallest_eigenvalue=0, where="whole mesh")
     try:
-        return MonolithicStep(system, operator).solve([problem.q], [problem.b]).dq[0]
+        q = Field(Team.alone(), [whole], [problem.q])
+        return MonolithicStep(system, operator).solve(q, q.with_parts([problem.b])).dq[0]
     finally:
         operator.destroy()
 
@@ -162,7 +169,7 @@ class Decomposed:
 
     def dual_problem(self) -> DualProblem:
         """The interface problem, freed at the end."""
-        problem = build_dual_problem(self.team, self.systems, self.operators, self.problem.scale)
+        problem = DualProblem(self.team, self.systems, self.operators, self.problem.scale)
         self._held.append(problem)
         return problem
 
@@ -171,7 +178,12 @@ class Decomposed:
         """Solve with the problem's q and b (or another b), a shared unknown's b spread over its copies."""
         b = self.problem.b if b is None else b
         shares = [b[d] / s.multiplicity for d, s in zip(self.numbers, self.subdomains, strict=True)]
-        return step.solve([self.problem.q[d] for d in self.numbers], shares, allowed)
+        q = self.field(self.problem.q[d] for d in self.numbers)
+        return step.solve(q, self.field(shares), allowed)
+
+    def field(self, parts: Iterable[NDArray[np.float64]]) -> Field:
+        """A field from its parts."""
+        return Field(self.team, self.subdomains, parts)
 
     def relative_error(self, dq: Sequence[NDArray[np.float64]], reference: NDArray[np.float64]) -> float:
         """Largest difference over all ranks relative to the largest unknown."""

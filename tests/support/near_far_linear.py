@@ -1,4 +1,7 @@
-"""One linear step with near and far cameras on random data, and the saddle point of Eq. 23 of [BP17] that it solves."""
+"""One linear step with near and far cameras on random data, and the saddle point that it solves.
+
+That of Eq. 21 of [BP17] with the gap of the whole region, which equals Eq. 23 with the paper's weighting alone.
+"""
 
 from __future__ import annotations
 
@@ -27,19 +30,22 @@ from ddic.case.schema import (
 from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
 from ddic.inputs.cameras import Camera
+from ddic.inputs.inputs import Inputs
 from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import add_motions, keep_cameras_apart, split_by_blocks, split_by_camera, split_by_metis
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import assemble, assemble_hessians
+from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
 from ddic.problem.region_mesh import Region
-from ddic.problem.views import read_reference_views
+from ddic.problem.views import read_reference_views, weigh_cameras
 from ddic.solvers.linear_step import LinearStep, StepResult
 from support.linear import StepProblem, linear_step
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
@@ -127,11 +133,14 @@ class NearFarCut:
         self.team, self.problem, self.case = team, problem, problem.case(**solver)
         self.numbers = list(split_evenly(np.ones(len(problem.subdomains)), team.size)[team.rank])
         own = [problem.subdomains[k] for k in self.numbers]
-        self.views = [views.weigh(WEIGHTS) for views in read_reference_views(self.case, problem.cameras, own)]
+        views = read_reference_views(self.case, problem.cameras, own)
+        self.views = weigh_cameras(views, WEIGHTS)
         mesh = problem.base.mesh
         region = Region(mesh.n_nodes, mesh.n_cells, problem.base.region.n_unknowns, len(problem.subdomains), None,
                         mesh.mapping)
-        self.assembly = assemble(team, self.case, region, self.views, assemble_hessians(team, self.views))
+        inputs = Inputs(self.case, problem.cameras, lambda: (mesh, None))
+        reference = ReferenceProblem(inputs, region, own, views, assemble_hessians(team, views), 0, ())
+        self.assembly = assemble(team, reference, WEIGHTS)
 
     @contextmanager
     def step(self) -> Iterator[LinearStep]:
@@ -145,9 +154,11 @@ class NearFarCut:
         b = []
         for k, of_subdomain in zip(self.numbers, self.views, strict=True):
             parts = [view.weight * view.kinematics.project_vector(force)
-                     for view, force in zip(of_subdomain.views, self.problem.forces[k], strict=True)]
+                     for view, force in zip(of_subdomain, self.problem.forces[k], strict=True)]
             b.append(np.sum(parts, axis=0))
-        return step.solve([self.problem.q[k] for k in self.numbers], b)
+        q = Field(self.team, [self.problem.subdomains[k] for k in self.numbers],
+                  [self.problem.q[k] for k in self.numbers])
+        return step.solve(q, q.with_parts(b))
 
     def relative_error(self, dq: list[Array], reference: list[Array]) -> float:
         """Largest difference in any unknown over all ranks, relative to the largest unknown."""
@@ -165,7 +176,7 @@ class NearFarCut:
 
 @cache
 def saddle_point_solution(problem: NearFarStep, *, paper_weighting: bool = False) -> list[Array]:
-    """dq of every subdomain by Eq. 23 of [BP17], one sparse LU.
+    """dq of every subdomain by Eq. 21 of [BP17] with the gap of the whole region, one sparse LU.
 
     Unknowns are what each camera sees, v = u + R alpha before a near camera and u before the far one; alpha has no
     stiffness but its columns in the jumps: +R on rows oriented from near to far, -R from far to near. Where the far

@@ -7,19 +7,20 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.view import FrameView, View
+from ddic.functionals.view import View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import ByView
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import FrameViews, ReferenceViews
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton, stay_silent
+from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from support.fields import field_of
 
 
 def model_of(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh, correction: GreyCorrection = "none",
@@ -28,15 +29,14 @@ def model_of(reference: MaskedSource, deformed: MaskedSource, mesh: Mesh, correc
     controlled = np.zeros(mesh.n_dofs, dtype=bool)
     subdomain = build_subdomains(NodalRegion(mesh), np.zeros(mesh.n_cells, np.int64), controlled)[0]
     view = View(read_correlation(mesh, reference, degree), subdomain.kinematics)
-    frame_view = FrameView(view, DeformedSubImage(deformed, degree))
-    return ResidualModel(Team.alone(), [FrameViews(ReferenceViews(subdomain, (view,)), (frame_view,))], correction)
+    frame_view = view.open_frame(DeformedSubImage(deformed, degree))
+    return ResidualModel(Team.alone(), [subdomain], ByView([[frame_view]]), correction)
 
 
 def system_of(model: ResidualModel) -> LocalSystem:
     """M without regularization."""
-    reference = model.views[0].reference
-    hessian = reference.project([reference.own.assemble_hessian()])
-    return LocalSystem(reference.subdomain, hessian, None, np.zeros(0), 0.0)
+    (view,) = model.views[0]
+    return LocalSystem(model.subdomains[0], view.project(view.assemble_hessian()), None, np.zeros(0), 0.0)
 
 
 def measure_alone(model: ResidualModel, *, q: NDArray[np.float64] | None = None,
@@ -45,9 +45,9 @@ def measure_alone(model: ResidualModel, *, q: NDArray[np.float64] | None = None,
     system = system_of(model)
     threshold = 1e-9 * float(system.hessian.diagonal().mean())
     operator = LocalOperator(system.hessian, smallest_eigenvalue=threshold, where="test")
-    start = np.zeros(system.subdomain.n_unknowns) if q is None else q
+    start = field_of(model, [np.zeros(system.subdomain.n_unknowns) if q is None else q])
     try:
-        return gauss_newton(model, [start], MonolithicStep(system, operator), tolerances or Tolerances(),
-                            Progress(PhaseClock(), stay_silent))
+        return gauss_newton(model, start, MonolithicStep(system, operator), tolerances or Tolerances(),
+                            Progress(PhaseClock()))
     finally:
         operator.destroy()

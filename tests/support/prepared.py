@@ -21,4 +21,4 @@ def prepare(team: Team, path: Path) -> ReferenceProblem:
 
 def assemble_alike(team: Team, problem: ReferenceProblem) -> Assembly:
     """The local systems of cameras that all weigh 1; collective."""
-    return assemble(team, problem.inputs.case, problem.region, problem.references, problem.hessians)
+    return assemble(team, problem, [1.0] * len(problem.inputs.cameras))

@@ -26,20 +26,22 @@ from ddic.case.schema import (
 )
 from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.camera import identity
-from ddic.inputs.cameras import Camera, FieldOfView
+from ddic.inputs.cameras import Camera
 from ddic.inputs.inputs import Inputs
 from ddic.kinematics.camera import CameraSetup, MotionKind
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.distribution import split_evenly
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tie_meshes
-from ddic.problem.assembly import assemble, assemble_hessians
+from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
 from ddic.problem.region_mesh import build_region_mesh, split_region
-from ddic.problem.views import read_reference_views
+from ddic.problem.views import read_reference_views, weigh_cameras
 from ddic.solvers.linear_step import LinearStep, StepResult
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
 
@@ -100,7 +102,7 @@ def tied_step(layout: Layout, motion: MotionKind, near_element: float | None = 3
 def _near_camera(low: Array, high: Array, motion: MotionKind) -> Camera:
     """A camera whose image shows the box and some pixels around it, a little turned and tilted."""
     setup, side = set_up_over_box(low, high, motion, 0.05)
-    return Camera(1, speckle(1, side), setup, None, FieldOfView(None, 0.0, has_own_mesh=True))
+    return Camera(1, speckle(1, side), setup, None, has_own_mesh=True)
 
 
 class TiedCut:
@@ -116,10 +118,11 @@ class TiedCut:
         self.copies = np.zeros(problem.mesh.n_nodes)
         for subdomain in everything:
             self.copies[subdomain.node_ids] += 1
-        references = read_reference_views(self.case, problem.cameras, self.subdomains)
-        self.views = [views.weigh(WEIGHTS) for views in references]
-        self.assembly = assemble(team, self.case, whole.describe(len(everything)), self.views,
-                                 assemble_hessians(team, self.views))
+        views = read_reference_views(self.case, problem.cameras, self.subdomains)
+        self.views = weigh_cameras(views, WEIGHTS)
+        reference = ReferenceProblem(inputs, whole.describe(len(everything)), self.subdomains, views,
+                                     assemble_hessians(team, views), 0, ())
+        self.assembly = assemble(team, reference, WEIGHTS)
 
     @contextmanager
     def step(self) -> Iterator[LinearStep]:
@@ -131,11 +134,12 @@ class TiedCut:
     def solve(self, step: LinearStep) -> StepResult:
         """Solve with the problem's q and forces, those of a shared mesh node spread over its copies."""
         q, b = [], []
-        for s, views in zip(self.subdomains, self.views, strict=True):
+        for s, (own, *_) in zip(self.subdomains, self.views, strict=True):
             q.append(self.problem.q[s.numbers])
             nodal = self.problem.forces[s.camera].reshape(-1, 2) / np.maximum(self.copies, 1)[:, None]
-            b.append(views.own.weight * views.own.kinematics.project_vector(nodal[s.node_ids].ravel()))
-        return step.solve(q, b)
+            b.append(own.weight * own.kinematics.project_vector(nodal[s.node_ids].ravel()))
+        start = Field(self.team, self.subdomains, q)
+        return step.solve(start, start.with_parts(b))
 
     def relative_error(self, dq: list[Array], reference: tuple[Array, Array]) -> float:
         """Largest difference of displacements of mesh nodes and motions, relative to the largest of them."""

@@ -6,7 +6,7 @@ import pytest
 import tifffile
 from click.testing import CliRunner
 
-from ddic.cli.app import main
+from ddic.cli.app import command_line
 from ddic.synth.fields import Affine, Bending, Hole, Kirsch, Sinusoidal, Sum, Translation
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture
@@ -14,7 +14,7 @@ from ddic.synth.truth import load_truth
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, ["synth", *(str(argument) for argument in arguments)])
+    return CliRunner().invoke(command_line, ["synth", *(str(argument) for argument in arguments)])
 
 
 @pytest.mark.parametrize(("arguments", "field"), [

@@ -8,7 +8,7 @@ import pytest
 import tifffile
 from click.testing import CliRunner
 
-from ddic.cli.app import main
+from ddic.cli.app import command_line
 from ddic.synth.fields import Kirsch
 from ddic.synth.near_far_scene import SetUpMotion, build_near_mapping
 from ddic.synth.render import Picture
@@ -20,7 +20,7 @@ FILES = ["far_reference.tif", "far_deformed.tif", "near_reference.tif", "near_de
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, ["synth", "near-far", *(str(argument) for argument in arguments)])
+    return CliRunner().invoke(command_line, ["synth", "near-far", *(str(argument) for argument in arguments)])
 
 
 def test_the_default_set_up(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.problem.held_cells import HeldCells
 from ddic.synth.fields import Translation
@@ -18,6 +19,7 @@ from ddic.visibility.exclusions import (
     Exclusions,
     exclude,
 )
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 
@@ -34,8 +36,8 @@ def exclusions(cells: dict[int, int] | None = None, pixels: list[tuple[int, int]
         states[cell] = state
     shown = pulled or {}
     shown_at = np.broadcast_to(np.array(list(shown.values())).reshape(-1, 1, 1), (len(shown), 4, 2))
-    return Exclusions([(states,)], [(np.array(pixels or [], dtype=np.int64).reshape(-1, 2),)],
-                      [(HeldCells(np.array(list(shown), dtype=np.int64), shown_at),)])
+    return Exclusions(ByView([[states]]), ByView([[np.array(pixels or [], dtype=np.int64).reshape(-1, 2)]]),
+                      ByView([[HeldCells(np.array(list(shown), dtype=np.int64), shown_at)]]))
 
 
 def test_joining_keeps_the_first_reason_and_each_pixel_once() -> None:
@@ -79,7 +81,7 @@ def test_as_many_pixels_elsewhere_are_other() -> None:
     assert exclusions(None, here).is_other_than(ALONE, exclusions(None, there))
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_all_ranks_say_the_same() -> None:
     team = Team.world()
     mine = exclusions({0: SPOILT}) if team.rank == team.size - 1 else exclusions()
@@ -93,7 +95,7 @@ def test_m_and_b_are_those_of_the_pixels_that_are_left() -> None:
     excluded = exclusions({5: SPOILT}, [(30, 40), (80, 81)])
     used = exclude(model, excluded)
     # A mask of the reference image that hides the same, whose taps are left as they are.
-    raster = model.views[0].views[0].view.correlation.raster
+    raster = model.views[0][0].correlation.raster
     cell_of = np.full((128, 128), -1)
     for cell in range(16):
         for run in range(raster.row_ptr[cell], raster.row_ptr[cell + 1]):
@@ -101,20 +103,20 @@ def test_m_and_b_are_those_of_the_pixels_that_are_left() -> None:
     counts = cell_of >= 0
     counts &= cell_of != 5
     counts[40, 30] = counts[81, 80] = False
-    view = used.views[0].views[0]
-    window = view.view.correlation.reference.window
+    view = used.views[0][0]
+    window = view.correlation.reference.window
     place = np.s_[window.y0:window.y1, window.x0:window.x1]
     q = np.random.default_rng(0).normal(0.0, 0.1, MESH.n_dofs)
     residual = view.compute_residual_image(q)
     np.testing.assert_array_equal(np.isfinite(residual), counts[place])
-    of_all = model.views[0].views[0].compute_residual_image(q)
+    of_all = model.views[0][0].compute_residual_image(q)
     np.testing.assert_array_equal(residual[counts[place]], of_all[counts[place]])
     # M and b of the cell that is left out are nothing, and the others' those of their pixels.
-    of_cells = view.view.correlation.compute_cell_hessians()
+    of_cells = view.correlation.compute_cell_hessians()
     assert not of_cells[5].any()
-    assert view.view.n_pixels == counts.sum()
-    assert view.view.count_pixels()[5] == 0
-    whole_cells = model.views[0].views[0].view.correlation.compute_cell_hessians()
+    assert view.n_pixels == counts.sum()
+    assert view.count_pixels()[5] == 0
+    whole_cells = model.views[0][0].correlation.compute_cell_hessians()
     touched = {5, int(cell_of[40, 30]), int(cell_of[81, 80])}
     kept = [cell for cell in range(16) if cell not in touched]
     np.testing.assert_array_equal(of_cells[kept], whole_cells[kept])
@@ -122,22 +124,22 @@ def test_m_and_b_are_those_of_the_pixels_that_are_left() -> None:
     for cell in touched:
         assert np.trace(of_cells[cell]) < np.trace(whole_cells[cell])
     # The model that was given is as it was.
-    assert model.views[0].views[0].view.n_pixels == (cell_of >= 0).sum()
+    assert model.views[0][0].n_pixels == (cell_of >= 0).sum()
     # The sums of what is left out and of what is kept are those of all.
     complement = exclude(model, exclusions({cell: SPOILT for cell in range(16) if cell != 5}))
-    b = [m.linearize([q])[0][0] for m in (model, exclude(model, exclusions({5: SPOILT})), complement)]
+    b = [m.linearize(field_of(m, [q]))[0][0] for m in (model, exclude(model, exclusions({5: SPOILT})), complement)]
     np.testing.assert_allclose(b[0], b[1] + b[2], atol=1e-9 * np.abs(b[0]).max())
 
 
 def test_nothing_excluded_is_the_same_view() -> None:
     model = model_of(source(PAIR.reference), source(PAIR.deformed), MESH)
-    assert exclude(model, exclusions()).views[0].views[0] is model.views[0].views[0]
+    assert exclude(model, exclusions()).views[0][0] is model.views[0][0]
 
 
 def test_cells_that_are_held_off_count() -> None:
     model = model_of(source(PAIR.reference), source(PAIR.deformed), MESH)
     held = exclusions({5: HELD_OFF}, None, {5: 2.0})
-    assert exclude(model, held).views[0].views[0] is model.views[0].views[0]
+    assert exclude(model, held).views[0][0] is model.views[0][0]
     assert not held.is_any(ALONE)
     assert held.has_held_off(ALONE)
     assert held.count_pixels(model) == 0
@@ -171,7 +173,7 @@ def test_cells_that_a_later_look_would_keep_are_let_go_and_pixels_stay() -> None
     assert both.pixels[0][0].tolist() == [[30, 40], [31, 40]]
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_all_ranks_know_of_cells_that_are_held_off() -> None:
     team = Team.world()
     mine = exclusions({0: HELD_OFF}, None, {0: 2.0}) if team.rank == team.size - 1 else exclusions()

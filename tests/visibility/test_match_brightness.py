@@ -10,12 +10,14 @@ import tifffile
 from numpy.typing import NDArray
 
 import ddic
+from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.brightness import match_brightness
 from ddic.visibility.seen_cells import collect_cells, find_typical_cell, measure_seen_cells
 from support.cases import write_case
+from support.fields import field_of
 from support.measuring import field_on_one_rank, measure, whole_field
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
@@ -46,21 +48,21 @@ def match(light: Image, hidden: tuple[slice, ...] = ()) -> tuple[ResidualModel, 
     if hidden:
         deformed[hidden] = 0.0
     model = model_of(source(reference), source(deformed), MESH, "element")
-    q = [np.tile(SHIFT, MESH.n_nodes)]
-    slopes = [[view.view.measure_slopes() for view in model.views[0].views]]
+    q = field_of(model, [np.tile(SHIFT, MESH.n_nodes)])
+    slopes = model.views.map(View.measure_slopes)
     seen = measure_seen_cells(model, model.evaluate(q), slopes)
     typical = {camera: find_typical_cell(cells) for camera, cells in collect_cells(model, seen).items()}
     return model, match_brightness(model, seen, typical)
 
 
 def values_of(model: ResidualModel) -> Image:
-    return model.views[0].views[0].view.correlation.reference.values.astype(float)
+    return model.views[0][0].correlation.reference.values.astype(float)
 
 
 def test_a_reference_is_given_the_light_of_the_frame() -> None:
     light = shine(80.0)
     model, matched = match(light)
-    window = model.views[0].views[0].view.correlation.reference.window
+    window = model.views[0][0].correlation.reference.window
     given = np.zeros((SIDE, SIDE))
     given[window.y0:window.y1, window.x0:window.x1] = values_of(matched) - values_of(model)
 
@@ -97,7 +99,7 @@ def test_a_reflection_costs_no_accuracy(height: float) -> None:
     assert errors[1] <= 1.3 * errors[0]
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 def test_the_light_is_the_same_on_any_number_of_ranks(shared_path: Path) -> None:
     team = Team.world()
     if team.is_root:

@@ -62,7 +62,7 @@ def test_the_residual_is_gone_and_the_gradient_is_that_of_the_frame(change: obje
     blurred = blur(3.0, 0.0, 0.0)
     model, matched, notes = match(change(blurred))
     assert len(notes) == 1
-    before, after = (m.views[0].views[0].view.correlation.reference for m in (model, matched))
+    before, after = (m.views[0][0].correlation.reference for m in (model, matched))
     window = before.window
     truth = blurred[window.y0:window.y1, window.x0:window.x1]
     # Grey levels of 255 in float32, and a blur found to some per cent, of speckle of 40 grey levels.
@@ -94,6 +94,6 @@ def test_what_is_masked_in_the_reference_stays_so() -> None:
     mask = np.ones(SHARP.shape, dtype=bool)
     mask[100:140, 90:130] = False
     model, matched, _ = match(blur(3.0, 0.0, 0.0), source(SHARP, mask))
-    before, after = (m.views[0].views[0].view for m in (model, matched))
+    before, after = (m.views[0][0] for m in (model, matched))
     assert after.n_pixels == before.n_pixels < MESH.n_cells * 256
     np.testing.assert_array_equal(after.count_pixels(), before.count_pixels())

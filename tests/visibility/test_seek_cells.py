@@ -36,7 +36,7 @@ def add_noise(image: Image, seed: int, noise: float = NOISE) -> Image:
 def show(deformed: Image | MaskedSource, reference: Image | None = None) -> FrameView:
     f = add_noise(pair_of(Translation((0.0, 0.0)), SIDE).reference, 1) if reference is None else reference
     g = deformed if isinstance(deformed, MaskedSource) else source(deformed)
-    return model_of(source(f), g, MESH).views[0].views[0]
+    return model_of(source(f), g, MESH).views[0][0]
 
 
 def move(field: DisplacementField) -> Image:
@@ -152,10 +152,10 @@ def test_where_a_cell_is_found_does_not_depend_on_how_the_mesh_is_cut() -> None:
     found: list[dict[int, Array]] = []
     for blocks in ((1, 1), (3, 3)):
         away = {}
-        for of_subdomain in split_model(Team.alone(), f, g, MESH, blocks).views:
-            subdomain = of_subdomain.subdomain
+        model = split_model(Team.alone(), f, g, MESH, blocks)
+        for subdomain, (view,) in zip(model.subdomains, model.views, strict=True):
             own = np.arange(subdomain.mesh.n_cells)
-            nearby = find_cells_beside(of_subdomain.views[0], np.zeros(subdomain.n_unknowns), own, 2.0 * NOISE**2)
+            nearby = find_cells_beside(view, np.zeros(subdomain.n_unknowns), own, 2.0 * NOISE**2)
             away |= {int(subdomain.cell_ids[cell]): of_cell for cell, of_cell in nearby.items()}
         found.append(away)
     assert sorted(found[0]) == sorted(found[1]) == EVERY.tolist()
@@ -172,7 +172,7 @@ def test_what_lies_under_a_mask_of_the_reference_changes_nothing() -> None:
     found = []
     for rubbish in (0.0, 255.0):
         f = source(np.where(mask, image, np.float32(rubbish)), mask)
-        view = model_of(f, source(move(truth)), MESH).views[0].views[0]
+        view = model_of(f, source(move(truth)), MESH).views[0][0]
         found.append(seek(view, Translation((0.0, 0.0))))
     assert sorted(found[0]) == sorted(found[1])
     for cell, of_cell in found[0].items():

@@ -7,10 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.view import CellSlopes
+from ddic.functionals.view import View
+from ddic.parallel.field import ByView
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
+from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 from support.seen import make_seen
@@ -22,12 +24,9 @@ DIM = 0.8 * PAIR.deformed.astype(float) + 12.0 + np.random.default_rng(0).normal
 
 
 def measure(model: ResidualModel, q: Array) -> SeenCells:
-    ((seen,),) = measure_seen_cells(model, model.evaluate([q]), [[_slopes(model)]])
+    evaluation = model.evaluate(field_of(model, [q]))
+    ((seen,),) = measure_seen_cells(model, evaluation, model.views.map(View.measure_slopes))
     return seen
-
-
-def _slopes(model: ResidualModel) -> CellSlopes:
-    return model.views[0].views[0].view.measure_slopes()
 
 
 @pytest.mark.parametrize("correction", ["none", "global", "element"])
@@ -37,12 +36,12 @@ def test_it_is_that_of_the_pixels(correction: GreyCorrection, element: float) ->
     model = model_of(source(PAIR.reference), source(DIM), mesh, correction)
     q = np.tile(SHIFT, mesh.n_nodes)
     seen = measure(model, q)
-    view = model.views[0].views[0]
-    reference = view.view.correlation.reference
+    view = model.views[0][0]
+    reference = view.correlation.reference
     place = reference.window
     f = reference.values.astype(float)
     g = f - view.compute_residual_image(q)
-    grey = model.evaluate([q]).grey[0]
+    grey = model.evaluate(field_of(model, [q])).grey[0]
     corners = mesh.nodes[mesh.connectivity.reshape(-1, 4)]
     low, high = (corners.min(axis=1) - (place.x0, place.y0)).astype(int), (
         corners.max(axis=1) - (place.x0, place.y0)).astype(int)
@@ -59,6 +58,23 @@ def test_it_is_that_of_the_pixels(correction: GreyCorrection, element: float) ->
         found = [getattr(seen, name)[cell] for name in ("mean_f", "mean_g", "spread_f", "spread_g")]
         np.testing.assert_allclose(found, [fc.mean(), gc.mean(), fc.std(), gc.std()], atol=0.01)
         assert seen.coefficient[cell] == pytest.approx(np.corrcoef(fc, gc)[0, 1], abs=1e-3)
+
+
+def test_nothing_correlates_where_grey_levels_do_not_vary() -> None:
+    mesh = square_mesh(24.0, 88.0)
+    wiped = [image.astype(float) for image in (PAIR.reference, PAIR.deformed)]
+    for image in wiped:
+        # Not a whole number: its sums round.
+        image[:, :72] = 127.3
+    seen = measure(model_of(source(wiped[0]), source(wiped[1]), mesh), np.tile(SHIFT, mesh.n_nodes))
+    # What a spline carries out of the texture is no rounding up to 20 px from it.
+    is_flat = mesh.centroids[:, 0] < 48
+    assert is_flat.sum() == 4
+    assert (seen.coefficient[is_flat] == 0).all()
+    assert (seen.coefficient[mesh.centroids[:, 0] > 72] > 0.99).all()
+    # Flat in one image only.
+    seen = measure(model_of(source(wiped[0]), source(PAIR.deformed), mesh), np.tile(SHIFT, mesh.n_nodes))
+    assert (seen.coefficient[is_flat] == 0).all()
 
 
 def test_medians_are_by_pixels_and_texture_that_of_the_best_tenth() -> None:
@@ -88,7 +104,7 @@ def test_cells_without_pixels_are_not_collected() -> None:
     mask[:, 70:] = False
     model = model_of(source(PAIR.reference), source(PAIR.deformed, mask), mesh)
     seen = measure(model, np.tile(SHIFT, mesh.n_nodes))
-    (collected,) = collect_cells(model, [[seen]]).values()
+    (collected,) = collect_cells(model, ByView([[seen]])).values()
     assert 0 < len(collected.n_pixels) < mesh.n_cells
     assert (collected.n_pixels > 0).all()
     assert collected.n_pixels.sum() == seen.n_pixels.sum()

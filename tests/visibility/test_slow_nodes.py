@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 import ddic
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState
 from ddic.images.noise import NOISE_OF_SLOPE
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton, stay_silent
+from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.synth.fields import Translation
@@ -27,6 +28,7 @@ from ddic.visibility.slow_nodes import (
     confine_to_slow_nodes,
     estimate_node_deviations,
 )
+from support.fields import field_of
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model, systems_of
 from support.spoilt import FIELD, blank_half, clean, hide
@@ -49,9 +51,9 @@ def build(team: Team, correction: GreyCorrection = "none", blocks: tuple[int, in
     return split_model(team, source(pair.reference), source(pair.deformed), MESH, blocks, correction)
 
 
-def take(model: ResidualModel, field: Array) -> list[Array]:
+def take(model: ResidualModel, field: Array) -> Field:
     """Unknowns of owned subdomains, of a field (n_nodes, 2)."""
-    return [field[of_subdomain.subdomain.node_ids].ravel() for of_subdomain in model.views]
+    return field_of(model, [field[subdomain.node_ids].ravel() for subdomain in model.subdomains])
 
 
 def correct(model: ResidualModel, moved: dict[int, float], deviations: Array | None = None) -> Correction:
@@ -63,7 +65,7 @@ def correct(model: ResidualModel, moved: dict[int, float], deviations: Array | N
     return Correction(q, *linearize_and_step(model, q, dq))
 
 
-def linearize_and_step(model: ResidualModel, q: list[Array], dq: list[Array]) -> tuple[Any, ...]:
+def linearize_and_step(model: ResidualModel, q: Field, dq: Field) -> tuple[Any, ...]:
     """What a Correction holds beside q."""
     b, grey = model.linearize(q)
     return b, dq, grey, model.measure_correction(dq, q, TOLERANCES)
@@ -79,21 +81,21 @@ def find_around(*nodes: int) -> set[int]:
     return set(np.flatnonzero(distances < 17.0).tolist())
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("correction", ["none", "element"])
 def test_forces_are_those_of_all_pixels_at_slow_nodes_and_linear_elsewhere(correction: GreyCorrection) -> None:
     model = build(Team.world(), correction)
     slow = confine(model, {SLOW: 0.3})
     assert slow is not None
     step = take(model, 0.1 * np.random.default_rng(1).normal(size=TRUTH.shape))
-    q = [a + b for a, b in zip(take(model, TRUTH), step, strict=True)]
+    q = take(model, TRUTH) + step
     b, grey = slow.linearize(q)
     whole, _ = model.linearize(q)
     before, _ = model.linearize(take(model, TRUTH))
-    for of_subdomain, system, *of_rows in zip(model.views, systems_of(model), b, whole, before, step, slow.rows,
-                                              strict=True):
+    for subdomain, system, *of_rows in zip(model.subdomains, systems_of(model), b, whole, before, step, slow.rows,
+                                           strict=True):
         found, expected, b_0, step_s, rows = of_rows
-        is_slow = np.repeat(np.isin(of_subdomain.subdomain.node_ids, list(find_around(SLOW))), 2)
+        is_slow = np.repeat(np.isin(subdomain.node_ids, list(find_around(SLOW))), 2)
         np.testing.assert_array_equal(rows, is_slow)
         # The same sums over the same pixels: the same bits.
         np.testing.assert_array_equal(found[is_slow], expected[is_slow])
@@ -105,13 +107,13 @@ def test_forces_are_those_of_all_pixels_at_slow_nodes_and_linear_elsewhere(corre
     assert grey[0].n_pixels == pytest.approx(16 * 256, rel=0.05)
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_nodes_that_move_by_less_than_the_tolerance_rest_on_all_subdomains_alike() -> None:
     model = build(Team.world())
     slow = confine(model, {SLOW: 0.3, SLOW + 3: 0.5 * TOLERANCES.largest, SLOW - 3: 2.0 * TOLERANCES.largest})
     assert slow is not None
-    mine = [(of_subdomain.subdomain.node_ids[rows[::2]].tolist(), of_subdomain.subdomain.node_ids.tolist())
-            for of_subdomain, rows in zip(model.views, slow.rows, strict=True)]
+    mine = [(subdomain.node_ids[rows[::2]].tolist(), subdomain.node_ids.tolist())
+            for subdomain, rows in zip(model.subdomains, slow.rows, strict=True)]
     for found, nodes in mine:
         assert set(found) == find_around(SLOW, SLOW - 3) & set(nodes)
 
@@ -120,8 +122,8 @@ def test_a_node_that_one_copy_alone_finds_slow_is_slow_in_all() -> None:
     # A linear step leaves copies apart by its own error.
     model = build(Team.alone())
     correction = correct(model, {})
-    copies = [(place, np.flatnonzero(of_subdomain.subdomain.node_ids == SLOW)) for place, of_subdomain
-              in enumerate(model.views)]
+    copies = [(place, np.flatnonzero(subdomain.node_ids == SLOW)) for place, subdomain
+              in enumerate(model.subdomains)]
     sharing = [(place, int(node[0])) for place, node in copies if len(node)]
     assert len(sharing) == 4
     place, node = sharing[2]
@@ -136,13 +138,13 @@ def test_what_is_small_beside_its_noise_is_not_slow() -> None:
     deviations = np.zeros(MESH.n_nodes)
     deviations[SLOW] = np.inf
     correction = correct(model, {SLOW: 0.3, SLOW - 3: 0.3})
-    weighed = confine_to_slow_nodes(ResidualModel(Team.alone(), model.views, "none", deviations=[deviations]),
-                                    correction, systems_of(model), TOLERANCES)
+    weighed = confine_to_slow_nodes(replace(model, deviations=[deviations]), correction, systems_of(model),
+                                    TOLERANCES)
     assert weighed is not None
     assert set(np.flatnonzero(weighed.rows[0][::2])) == find_around(SLOW - 3)
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_where_they_have_many_pixels_all_are_visited() -> None:
     model = build(Team.world())
     # A node at a corner of the mesh brings 4 of 81 cells, one in the middle 16.
@@ -153,13 +155,13 @@ def test_where_they_have_many_pixels_all_are_visited() -> None:
     assert confine(model, dict.fromkeys([*corners, SLOW], 0.3)) is None
 
 
-def solve(model: ResidualModel | SlowNodes, system: LocalSystem, q: list[Array]) -> list[Array]:
+def solve(model: ResidualModel | SlowNodes, system: LocalSystem, q: Field) -> Field:
     operator = LocalOperator(system.hessian, smallest_eigenvalue=1e-9 * float(system.hessian.diagonal().mean()),
                              where="test")
     try:
         solution = run_gauss_newton(model, q, MonolithicStep(system, operator),
                                     Tolerances(relative=1e-30, rms=1e-9, max_iterations=100),
-                                    Progress(PhaseClock(), stay_silent))
+                                    Progress(PhaseClock()))
     finally:
         operator.destroy()
     assert solution.converged
@@ -172,11 +174,11 @@ def test_slow_nodes_are_found_where_all_nodes_together_find_them() -> None:
     exact = solve(model, system, take(model, TRUTH))
     apart = exact[0].copy()
     apart[2 * SLOW] += 0.3
-    dq = [exact[0] - apart]
-    correction = Correction([apart], *linearize_and_step(model, [apart], dq))
+    start = field_of(model, [apart])
+    correction = Correction(start, *linearize_and_step(model, start, exact - start))
     slow = confine_to_slow_nodes(model, correction, [system], TOLERANCES)
     assert slow is not None
-    alone = solve(slow, system, [apart])
+    alone = solve(slow, system, start)
     # The others follow by the linear theory, which errs by some per cent of the 0.3 px that pull at them.
     assert np.abs(alone[0] - exact[0]).max() <= 0.03
     assert np.abs(solve(model, system, alone)[0] - exact[0]).max() <= 1e-8
@@ -209,9 +211,9 @@ def test_slow_nodes_that_run_away_alone_are_found_with_all_others(monkeypatch: p
     everywhere = ddic.measure(scene.pair, SPOILT_MESH, options=options)
     linearize = SlowNodes.linearize
 
-    def push_away(self: SlowNodes, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+    def push_away(self: SlowNodes, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
         b, grey = linearize(self, q)
-        return [np.where(rows, -b_s, b_s) for rows, b_s in zip(self.rows, b, strict=True)], grey
+        return b.map(lambda _, b_s, rows: np.where(rows, -b_s, b_s), self.rows), grey
 
     monkeypatch.setattr(SlowNodes, "linearize", push_away)
     found = ddic.measure(scene.pair, SPOILT_MESH, options=options)
@@ -228,11 +230,11 @@ def test_the_noise_of_a_spline_s_slope() -> None:
     # So it is of an image of white noise.
     image = source((128.0 + 10.0 * np.random.default_rng(0).standard_normal((192, 192))).astype(np.float32))
     model = split_model(Team.alone(), image, image, MESH, (1, 1))
-    slopes = np.mean(model.views[0].views[0].view.measure_slopes().texture)
+    slopes = np.mean(model.views[0][0].measure_slopes().texture)
     assert slopes == pytest.approx(2 * NOISE_OF_SLOPE[3] * 100.0, rel=0.03)
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel([1, 3])
 def test_a_textured_node_has_the_deviation_that_its_diagonal_says() -> None:
     noise = 8.0
     alone = build(Team.alone(), blocks=(1, 1))
@@ -247,8 +249,8 @@ def test_a_textured_node_has_the_deviation_that_its_diagonal_says() -> None:
     # Copies of a node know what their subdomains know together.
     model = build(Team.world())
     found = estimate_node_deviations(model, systems_of(model), noise)
-    for of_subdomain, deviations in zip(model.views, found, strict=True):
-        np.testing.assert_allclose(deviations, whole[of_subdomain.subdomain.node_ids], rtol=1e-9)
+    for subdomain, deviations in zip(model.subdomains, found, strict=True):
+        np.testing.assert_allclose(deviations, whole[subdomain.node_ids], rtol=1e-9)
 
 
 def test_a_node_of_pure_noise_is_not_known() -> None:

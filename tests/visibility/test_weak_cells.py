@@ -6,11 +6,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
-from ddic.visibility.exclusions import KEPT, SPOILT, UNSEEN, Exclusions, exclude
-from ddic.visibility.view_exclusions import LEAST_HELD, exclude_weak_cells
+from ddic.visibility.exclusions import (
+    KEPT,
+    LEAST_HELD,
+    SPOILT,
+    UNSEEN,
+    Exclusions,
+    exclude,
+    exclude_weak_cells,
+)
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model
 
@@ -28,18 +36,17 @@ def cut(model: ResidualModel, states: NDArray[np.uint8], pixels: NDArray[np.int6
     """What is excluded of the whole mesh, by subdomain; pixels : (n, 2) in cells that are kept."""
     cells, spots = [], []
     nothing = Exclusions.nothing(model.views)
-    for of_subdomain in model.views:
-        s = of_subdomain.subdomain
+    for s in model.subdomains:
         cells.append((states[s.cell_ids].copy(),))
         low, high = s.mesh.nodes.min(axis=0), s.mesh.nodes.max(axis=0)
         spots.append((pixels[((pixels >= low) & (pixels < high)).all(axis=1)],))
-    return Exclusions(cells, spots, nothing.pulled)
+    return Exclusions(ByView(cells), ByView(spots), nothing.pulled)
 
 
 def find_slowly(states: NDArray[np.uint8], pixels: NDArray[np.int64]) -> NDArray[np.uint8]:
     """By M of the whole mesh, node by node."""
     model = model_of(Team.alone(), (1, 1))
-    diagonal = exclude(model, cut(model, states, pixels)).views[0].views[0].view.assemble_hessian().diagonal()
+    diagonal = exclude(model, cut(model, states, pixels)).views[0][0].assemble_hessian().diagonal()
     held = diagonal.reshape(-1, 2).sum(axis=1)
     mean = held.sum() / (held > 0).sum()
     cells = MESH.connectivity.reshape(-1, 4)
@@ -65,7 +72,7 @@ def scene() -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     return states, np.concatenate([beside, far]).astype(np.int64)
 
 
-@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("blocks", [(1, 1), (2, 2), (3, 2)])
 def test_it_finds_what_the_whole_mesh_says(blocks: tuple[int, int]) -> None:
     team = Team.world()
@@ -75,8 +82,8 @@ def test_it_finds_what_the_whole_mesh_says(blocks: tuple[int, int]) -> None:
     expected = find_slowly(states, pixels)
     model = model_of(team, blocks)
     excluded = exclude_weak_cells(model, cut(model, states, pixels))
-    for of_subdomain, (found,) in zip(model.views, excluded.cells, strict=True):
-        np.testing.assert_array_equal(found, expected[of_subdomain.subdomain.cell_ids])
+    for subdomain, (found,) in zip(model.subdomains, excluded.cells, strict=True):
+        np.testing.assert_array_equal(found, expected[subdomain.cell_ids])
 
 
 def test_the_oracle_finds_something_beside_and_nothing_far_off() -> None:

@@ -1,9 +1,4 @@
-"""Measuring from Python: a case, a file, or images and a mesh in memory; alone or under mpirun.
-
-A displacement to start from, as Python programs have it.
-
-Meshes given as ddic's, as meshio's, or as arrays.
-"""
+"""Measuring from Python: a case, a file, or images and a mesh in memory; alone or under mpirun."""
 
 from __future__ import annotations
 
@@ -16,36 +11,23 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ddic.api.options import (
-    ImageLike,
-    Options,
-    check_kinematics,
-    check_same_size,
-    choose_options,
-    choose_team,
-    make_case,
-    open_given_image,
-)
+from ddic.api.given import ImageLike, StartLike, convert_given_mesh, convert_start, open_given_image
+from ddic.api.options import Options, check_kinematics, choose_options, choose_team, load_given_case, make_case
 from ddic.case.loader import LoadedCase
+from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
-from ddic.check.case import check_loaded_case, check_ranks, load_checked_case
+from ddic.check.case import check_ranks
 from ddic.check.mesh import check_mesh
-from ddic.check.output import check_nothing_is_overwritten, check_output_file
 from ddic.errors import ConvergenceError, DdicError, InputError
-from ddic.images.camera import identity
 from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource
-from ddic.inputs.cameras import Camera, Frame, make_setup
+from ddic.inputs.cameras import Camera, Frame, make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import accept_mesh, convert_mapping
-from ddic.inputs.start_points import StartPoints, check_start_points
 from ddic.io.input_file import as_path
-from ddic.io.mesh_file import convert_mesh
 from ddic.io.result_reader import Result
-from ddic.mesh.cell_type import CELL_TYPES
-from ddic.mesh.mesh import Mesh, Similarity, build_mesh
+from ddic.mesh.mesh import Mesh
 from ddic.methods.detect import is_line_wanted
 from ddic.methods.method import MethodSession, prepare_session
 from ddic.parallel.phases import PhaseClock
@@ -54,145 +36,11 @@ from ddic.results.listener import Silence
 from ddic.results.publishable import Publishable
 from ddic.results.publishing import Destination, gather, publish
 from ddic.results.run_files import keep_failed_run, remove_failed_field
-from ddic.start.given_start import GivenStart, keep_displacement
+from ddic.start.given_start import GivenStart
 
 if TYPE_CHECKING:
     import meshio
 
-
-StartLike = Result | tuple[Any, Any]
-"""A result, or points (n, 2) and their displacement (n, 2)."""
-
-_NAME = "start"
-
-
-def convert_start(team: Team, given: StartLike | None, far: Camera) -> GivenStart | None:
-    """Look at a displacement that the user gave; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks, each with the same displacement.
-    given : Result or pair of (n, 2) arrays
-        What the user gave; pixels of the reference image.
-    far : Camera
-        Whose reference image it is.
-
-    Returns
-    -------
-    EarlierResult, StartPoints or None
-        None where nothing is given.
-
-    Raises
-    ------
-    InputError
-        On all ranks, where one of them has something else, or nothing.
-    """
-    converted = team.together(lambda: None if given is None else _convert(given, far))
-    if team.sum(int(given is not None)) not in (0, team.size):
-        raise InputError(f"{_NAME}: given on some of the ranks; under mpirun give it on every rank")
-    return converted
-
-
-def _convert(given: Any, far: Camera) -> GivenStart:
-    if isinstance(given, Result):
-        return keep_displacement(given, "the given result" if given.path == Path() else str(given.path))
-    if not isinstance(given, tuple | list) or len(given) != 2:
-        raise InputError(f"{_NAME}: {type(given).__name__} given; give a result, or a pair (points, displacement) of "
-                         "arrays (n, 2), pixels of the reference image")
-    points, displacement = (_convert_array(array, what) for array, what in zip(given, ("points", "displacement"),
-                                                                              strict=True))
-    if points.shape != displacement.shape:
-        raise InputError(f"{_NAME}: {len(points)} points and {len(displacement)} displacements; give one of each point")
-    image = far.reference.image
-    converted = StartPoints(points, displacement, _NAME)
-    check_start_points(converted, image.width, image.height)
-    return converted
-
-
-def _convert_array(given: Any, what: str) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{_NAME}: {what}: {error}; give an array (n, 2) of numbers, pixels") from error
-    if array.ndim != 2 or array.shape[1] != 2 or not len(array):
-        raise InputError(f"{_NAME}: {what}: an array of shape {array.shape}, (n, 2) expected: x and y of each point, "
-                         "pixels")
-    return array
-
-
-_EXPECTED = "give one of ddic.structured_mesh or meshio, or the arrays (nodes, cells)"
-
-
-def convert_given_mesh(given: Mesh | meshio.Mesh | tuple[Any, Any], mapping: Similarity) -> Mesh:
-    """Convert a mesh that the user gave.
-
-    Parameters
-    ----------
-    given : Mesh, meshio.Mesh or tuple of arrays
-        x = column, y = row; as a tuple the nodes (n_nodes, 2) and the cells (n_cells, 3 or 4).
-    mapping : Similarity
-        From its units to pixels.
-
-    Returns
-    -------
-    Mesh
-        Pixels; not yet repaired.
-
-    Raises
-    ------
-    InputError
-        Where it is no plane mesh of triangles and quadrilaterals.
-    """
-    if isinstance(given, Mesh):
-        return _map(given, mapping)
-    if isinstance(given, tuple):
-        if len(given) != 2:
-            raise InputError(f"mesh: a tuple of {len(given)}, two arrays expected; {_EXPECTED}")
-        return _map(_from_arrays(*given), mapping)
-    if _is_meshio_like(given):
-        return convert_mesh(given, "mesh", mapping)
-    raise InputError(f"mesh: {type(given).__name__} is no mesh; {_EXPECTED}")
-
-
-def _map(mesh: Mesh, mapping: Similarity) -> Mesh:
-    """Map the nodes, which stay to the last digit where there is nothing to do."""
-    if mapping == Similarity():
-        return mesh
-    return replace(mesh, nodes=np.ascontiguousarray(mapping.to_pixels(mesh.nodes)), mapping=mapping)
-
-
-def _is_meshio_like(given: Any) -> bool:
-    """Whether it has points and blocks of cells; PyVista's cells are one array of numbers."""
-    if not (hasattr(given, "points") and hasattr(given, "cells") and hasattr(given, "cell_sets")):
-        return False
-    return all(hasattr(block, "type") and hasattr(block, "data") for block in given.cells)
-
-
-def _from_arrays(given_nodes: Any, given_cells: Any) -> Mesh:
-    by_n_nodes = {kind.n_nodes: kind for kind in CELL_TYPES.values()}
-    widths = " or ".join(str(n) for n in sorted(by_n_nodes))
-    nodes, cells = _as_array(given_nodes, "nodes"), _as_array(given_cells, "cells")
-    if nodes.ndim != 2 or nodes.shape[1] != 2 or nodes.dtype.kind not in "iuf":
-        raise InputError(f"mesh: nodes of shape {nodes.shape} and type {nodes.dtype}, numbers of shape (n_nodes, 2) "
-                         "expected: column and row of each, pixels")
-    if cells.ndim != 2 or cells.shape[1] not in by_n_nodes or cells.dtype.kind not in "iu":
-        raise InputError(f"mesh: cells of shape {cells.shape} and type {cells.dtype}, whole numbers of shape (n_cells, "
-                         f"{widths}) expected: the nodes of each cell, numbered from 0")
-    kind = by_n_nodes[cells.shape[1]]
-    return build_mesh(nodes.astype(np.float64), [(kind, cells.astype(np.int64))])
-
-
-def _as_array(given: Any, name: str) -> NDArray[Any]:
-    try:
-        return np.asarray(given)
-    except ValueError as error:
-        # Rows of different lengths.
-        raise InputError(f"mesh: {name} in rows of different lengths; give a mesh of triangles and quadrilaterals "
-                         "together as one of meshio") from error
-
-
-Array = NDArray[np.float64]
 
 FRAMES = 10
 """Frames that a prepared session is expected to measure, where ``solver.frames`` does not say it."""
@@ -261,7 +109,6 @@ class Session:
             On all ranks; the session can measure other images afterwards. The second has the last field as ``result``,
             which is written as well where there is an output, under a name that says so.
         """
-        self._team.together(self._require_open)
         images = self._team.together(lambda: self._check_images(deformed, from_last=from_last, start=start))
         given = self._convert_start(start)
         frame = self._open_frame(images)
@@ -308,11 +155,12 @@ class Session:
                      for image, camera, name in zip(images, cameras, names, strict=True))
 
     def _convert_start(self, start: StartLike | None) -> GivenStart | None:
-        return self._team.alike(lambda: convert_start(self._team, start, self._inputs.cameras[0]))
+        return self._team.alike(lambda: convert_start(self._team, start, self._inputs.cameras[0].reference))
 
     def _check_images(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool,
                       start: StartLike | None) -> Sequence[ImageLike]:
         """Check what can be told before images are opened; one image of each camera."""
+        self._require_open()
         n_cameras = len(self._inputs.cameras)
         if from_last and self._last is None:
             raise InputError("from_last: this session has measured nothing yet")
@@ -326,7 +174,7 @@ class Session:
 
     def _open_deformed(self, given: Any, camera: Camera, name: str) -> MaskedSource:
         image = open_given_image(self._team, given, name)
-        self._team.together(lambda: check_same_size(image, camera.reference, name))
+        self._team.together(lambda: _check_same_size(image, camera.reference, name))
         return replace(image, saturated_from=self._find_saturation(image, camera.reference))
 
     def _find_saturation(self, image: MaskedSource, reference: MaskedSource) -> float | None:
@@ -344,6 +192,13 @@ class Session:
         of_case = [self._inputs.case_path] if self._inputs.case_text else []
         check_nothing_is_overwritten(path, self._inputs.case, [*images, *of_case], "output")
         return path
+
+
+def _check_same_size(image: MaskedSource, reference: MaskedSource, name: str) -> None:
+    found, wanted = image.extent, reference.extent
+    if found != wanted:
+        raise InputError(f"{name}: {found.width} x {found.height} px, but the reference image has {wanted.width} x "
+                         f"{wanted.height} px; give images of one size")
 
 
 def _gather_last_field(error: ConvergenceError) -> None:
@@ -386,8 +241,7 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
     """
     team = choose_team(options)
     if isinstance(source, str | Path | Case | LoadedCase):
-        chosen = team.together(lambda: _options_beside_a_case(mesh, options))
-        inputs, frame = _open_case(team, chosen, source, output)
+        inputs, frame = _open_case(team, source, mesh, options, output)
         with Session(team, inputs) as session:
             given = session._convert_start(start)
             return session._measure_frame(frame, given, None if output is None else Path(output))
@@ -428,15 +282,15 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
     """A session for as many frames as are expected; collective."""
     team = choose_team(options)
     if isinstance(source, Case | LoadedCase) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
-        chosen = team.together(lambda: _options_beside_a_case(mesh, options))
-        return Session(team, replace(_open_case(team, chosen, source, None)[0], n_frames=n_frames))
+        inputs, _ = _open_case(team, source, mesh, options, None)
+        return Session(team, replace(inputs, n_frames=n_frames))
 
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
     chosen, loaded, given = team.together(lambda: _look(team, mesh, options))
     # Of more frames than one some are measured after this call, by when the user may have written into arrays.
     keeps = n_frames > 1
     reference = open_given_image(team, source, "reference image", keeps=keeps)
-    camera = Camera(0, reference, make_setup(identity(), reference, "none"), loaded.case.images.noise)
+    camera = make_first_camera(reference, loaded.case.images.noise)
     if keeps and is_line_wanted(loaded.case):
         # The first frame says where the line is, and the mesh waits for it.
         given = copy.deepcopy(given)
@@ -473,20 +327,15 @@ def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | 
     return chosen
 
 
-def _open_case(team: Team, options: Options, source: object, output: str | Path | None) -> tuple[Inputs, Frame]:
+def _open_case(team: Team, source: object, mesh: object, options: Options | Mapping[str, Any] | None,
+               output: str | Path | None) -> tuple[Inputs, Frame]:
+    """Open what a case or a case file names; collective."""
+    chosen = team.together(lambda: _options_beside_a_case(mesh, options))
     # A name that can be written, where nothing is: what a case names is looked at only if it is used.
     file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
 
-    def load() -> LoadedCase:
-        if not isinstance(source, Case | LoadedCase):
-            return load_checked_case(Path(str(source)), team.size, file)
-        given = LoadedCase(source, Path(), "") if isinstance(source, Case) else source
-        loaded = given.with_output(file)
-        check_loaded_case(loaded, team.size)
-        return loaded
-
-    inputs, frame = open_inputs(team, team.on_root(load))
-    return replace(inputs, choose_kinematics=check_kinematics(options.kinematics)), frame
+    inputs, frame = open_inputs(team, team.on_root(lambda: load_given_case(source, Path(), team.size, file)))
+    return replace(inputs, choose_kinematics=check_kinematics(chosen.kinematics)), frame
 
 
 def _pair(source: object) -> tuple[Any, Any]:

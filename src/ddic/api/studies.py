@@ -15,21 +15,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.api.measure import measure
-from ddic.api.options import make_case
-from ddic.case.frame_files import list_deformed
+from ddic.api.options import load_given_case, make_case
 from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method_section
+from ddic.case.named_files import list_deformed
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
-from ddic.check.case import check_loaded_case, load_checked_case
 from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
 from ddic.images.binned import ArraySource
-from ddic.images.camera import identity
 from ddic.images.sub_image import MaskedSource
-from ddic.inputs.cameras import Camera, make_setup
+from ddic.inputs.cameras import make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH, build_meshes
-from ddic.io.input_file import as_path
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.quality import measure_cell_size
@@ -74,7 +71,7 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
         On all ranks: where the case cannot be swept, and where nothing that is tried measures it.
     """
     team = Team.world()
-    loaded = team.on_root(lambda: _load(case, team.size))
+    loaded = team.on_root(lambda: load_given_case(case, Path("case"), team.size))
     # Of a series the last image, which has moved most.
     inputs, frame = open_inputs(team, loaded, len(list_deformed(loaded.case.images)) - 1)
     team.together(lambda: _refuse_impossible(inputs.case, wavelengths, element_sizes))
@@ -83,14 +80,6 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
     varied = [(candidate, _vary(inputs, candidate)) for candidate in candidates]
     told = advance or (lambda what, count: None)
     return measure_candidates(team, varied, frame, lambda what: told(what, 2 * len(varied)))
-
-
-def _load(source: str | Path | Case | LoadedCase, n_ranks: int) -> LoadedCase:
-    if not isinstance(source, Case | LoadedCase):
-        return load_checked_case(as_path(source, "case"), n_ranks)
-    loaded = LoadedCase(source, Path("case"), "") if isinstance(source, Case) else source
-    check_loaded_case(loaded, n_ranks)
-    return loaded
 
 
 def _refuse_impossible(case: Case, wavelengths: Sequence[float] | None, sizes: Sequence[float] | None) -> None:
@@ -329,7 +318,7 @@ def _mesh_inside(shape: tuple[int, ...], size: float) -> Mesh:
 def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any] | None, noise: float) -> float:
     """Displacement noise at nodes by the operator alone, pixels."""
     reference = MaskedSource(ArraySource(Path("image"), grey.astype(np.float32)))
-    camera = Camera(0, reference, make_setup(identity(), reference, "none"), None)
+    camera = make_first_camera(reference, None)
     inputs = Inputs(make_case(settings or {}), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
     try:
         return estimate_nodal_noise(inputs, noise)

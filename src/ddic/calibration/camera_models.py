@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from ddic.images.camera import CameraMapping
 Array = NDArray[np.float64]
 
 Kind = Literal["translation", "similarity", "homography"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 
 N_PLANE: dict[Kind, int] = {"translation": 2, "similarity": 4, "homography": 8}
 """Parameters of each kind, without the distortion's."""
@@ -55,40 +54,16 @@ class CameraModel:
         return N_PLANE[self.kind] + self.distorts
 
     def build_mapping(self, parameters: Array) -> CameraMapping:
-        """Build the mapping that has given parameters.
+        """Build the mapping from specimen to image px that has given parameters (n_parameters,).
 
-        Parameters
-        ----------
-        parameters : (n_parameters,) array
-            Image px; k1 without unit.
-
-        Returns
-        -------
-        CameraMapping
-            From specimen to image px.
-
-        Raises
-        ------
-        ValueError
-            Where there is no such mapping.
+        Raises ValueError where there is none.
         """
         homography = self._local_homography(parameters) @ self._to_local()
         k1 = parameters[-1] if self.distorts else 0.0
         return CameraMapping(homography / homography[2, 2], self.centre, self.radius, np.array([k1, 0.0]))
 
     def fit(self, mapping: CameraMapping) -> Array:
-        """Find the parameters of the mapping of this kind that is like another one at the model's middle.
-
-        Parameters
-        ----------
-        mapping : CameraMapping
-            Of any kind.
-
-        Returns
-        -------
-        (n_parameters,) array
-            Image px; k1 without unit.
-        """
+        """Find the parameters (n_parameters,) of this kind of mapping that is like another one about the middle."""
         local = mapping.homography @ np.linalg.inv(self._to_local())
         local = local / local[2, 2]
         place = local[:2, 2]
@@ -109,20 +84,7 @@ class CameraModel:
         return np.concatenate([found, k1])
 
     def differentiate(self, parameters: Array, points: Array) -> Array:
-        """Differentiate image positions by the parameters.
-
-        Parameters
-        ----------
-        parameters : (n_parameters,) array
-            Where, image px; k1 without unit.
-        points : (n, 2) array
-            Specimen px.
-
-        Returns
-        -------
-        (n, 2, n_parameters) array
-            Derivatives of the points' image positions, image px per parameter.
-        """
+        """Differentiate the image positions of specimen points (n, 2) by the parameters: (n, 2, n_parameters)."""
         local = (points - self.middle) / self.length
         x, y = local.T
         one, zero = np.ones_like(x), np.zeros_like(x)
@@ -169,21 +131,9 @@ class CameraModel:
 
 
 def fit_similarity(mapping: CameraMapping, points: Array) -> tuple[CameraMapping, Array]:
-    """Find the similarity that is closest to a mapping in the sense of least squares.
+    """Find the similarity that is closest to a mapping at specimen points (n, 2), in the sense of least squares.
 
-    Parameters
-    ----------
-    mapping : CameraMapping
-        From specimen to image px.
-    points : (n, 2) array
-        Where they are compared, specimen px.
-
-    Returns
-    -------
-    similarity : CameraMapping
-        The similarity.
-    rest : (n, 2) array
-        What the mapping adds to it at the points, image px.
+    Beside it comes what the mapping adds to it at the points, (n, 2), image px.
     """
     middle = points.mean(axis=0)
     x, y = (points - middle).T

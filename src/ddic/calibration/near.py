@@ -23,6 +23,8 @@ from ddic.images.spline import GradientImage, read_gradient
 from ddic.images.window import Window
 from ddic.mesh.plane import build_rotation
 
+Array = NDArray[np.float64]
+
 RATIO_RANGE = 0.15
 """Relative error of the given ratio that the search covers; a larger one takes longer, for steps are shares of it."""
 
@@ -102,24 +104,40 @@ class TileSearch:
     """
 
     far: Grey
-    power: NDArray[np.float64]
+    power: Array
     reduced: Grey
     scale: tuple[float, float]
     ratio: float
     side: int
 
+    @classmethod
+    def prepare(cls, far: Grey, near: Grey, ratio: float) -> TileSearch:
+        """Prepare the search of a near image in a far one, of about ``ratio`` near px per far px.
+
+        The near image must cover at least LEAST_TILE far px either way.
+        """
+        height, width = near.shape
+        size = max(round(width / ratio), 1), max(round(height / ratio), 1)
+        reduced = cv2.resize(near, size, interpolation=cv2.INTER_AREA)
+        most = min(int(n / (1 + RATIO_RANGE)) for n in (*size, far.shape[1], far.shape[0]))
+        # Half the image, so that a tile is left in view where part of the near field is not.
+        side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
+        blurred_far = cv2.GaussianBlur(far, (0, 0), _BLUR)
+        blurred_near = cv2.GaussianBlur(reduced, (0, 0), _BLUR)
+        blurred_far -= blurred_far.mean()
+        return cls(
+            far=blurred_far,
+            power=sum_window_squares(blurred_far, side),
+            reduced=blurred_near,
+            scale=(width / size[0], height / size[1]),
+            ratio=ratio,
+            side=side,
+        )
+
     def find_matches(self, *, fixed: bool = False) -> Iterator[Match]:
         """Find the best match of each tile, from the tile with the most texture on.
 
-        Parameters
-        ----------
-        fixed : bool, optional
-            Only the place is searched, with the given ratio and upright.
-
-        Yields
-        ------
-        Match
-            Of the next tile.
+        Where ``fixed``, only the place is searched, with the given ratio and upright.
         """
         for centre in self._choose_tiles():
             yield self._find_best(centre, fixed)
@@ -140,7 +158,7 @@ class TileSearch:
                 chosen.append((x, y))
         return chosen[:_TILES]
 
-    def _weaker_gradient(self) -> NDArray[np.float64]:
+    def _weaker_gradient(self) -> Array:
         """Mean square of the gradient in its weaker direction over the tile about each place of the reduced image."""
         by_y, by_x = np.gradient(self.reduced)
         tile = (self.side, self.side)
@@ -152,27 +170,25 @@ class TileSearch:
 
     def _find_best(self, centre: tuple[float, float], fixed: bool) -> Match:
         """The best match of a tile over ratios and rotations: on a grid, then around its best point."""
-        best = self._match(centre, 0.0, 0.0)
+        best, at = self._match(centre, 0.0, 0.0), (0.0, 0.0)
         if fixed:
             return best
-        at = (0.0, 0.0)
         steps = [k / _STEPS for k in range(-_STEPS, _STEPS + 1)]
         # The most likely first: the given ratio, upright.
         grid = sorted(product(steps, steps), key=lambda step: step[0] ** 2 + step[1] ** 2)
-        for stretch, turn in grid[1:]:
+        for step in grid[1:]:
             if best.coefficient >= _CLEAR:
                 break
-            tried = self._match(centre, stretch, turn)
+            tried = self._match(centre, *step)
             if tried.coefficient > best.coefficient:
-                best, at = tried, (stretch, turn)
+                best, at = tried, step
         for fine in _FINE_STEPS:
             middle = at
             for k, j in product((-1, 0, 1), repeat=2):
-                stretch = middle[0] + k * fine / _STEPS
-                turn = middle[1] + j * fine / _STEPS
-                tried = self._match(centre, stretch, turn)
+                step = middle[0] + k * fine / _STEPS, middle[1] + j * fine / _STEPS
+                tried = self._match(centre, *step)
                 if tried.coefficient > best.coefficient:
-                    best, at = tried, (stretch, turn)
+                    best, at = tried, step
         return best
 
     def _match(self, centre: tuple[float, float], stretch: float, turn: float) -> Match:
@@ -190,7 +206,7 @@ class TileSearch:
         mapping = similarity(ratio, degrees, (float(offset[0]), float(offset[1])))
         return Match(mapping, float(coefficients[row, column]), (x, y), self.side * ratio)
 
-    def _turned_tile(self, centre: tuple[float, float], matrix: NDArray[np.float64]) -> Grey:
+    def _turned_tile(self, centre: tuple[float, float], matrix: Array) -> Grey:
         """The tile about a place of the reduced image, as the far image shows it; matrix: far to near px."""
         turned = matrix / np.array(self.scale)[:, None]
         half = (self.side - 1) / 2
@@ -200,56 +216,11 @@ class TileSearch:
         return np.asarray(tile)
 
 
-def prepare_search(far: Grey, near: Grey, ratio: float) -> TileSearch:
-    """Prepare the search of the near image in the far one.
+def correlate_template(image: Grey, power: Array, template: Grey) -> Array:
+    """Correlate a template (rows, columns) with each window of an image of its size (zero-mean, normalised).
 
-    Parameters
-    ----------
-    far, near : (height, width) array
-        Grey levels; the near image must cover at least LEAST_TILE far px either way.
-    ratio : float
-        Rough near px per far px.
-
-    Returns
-    -------
-    TileSearch
-        Both images at the far one's resolution.
-    """
-    height, width = near.shape
-    size = max(round(width / ratio), 1), max(round(height / ratio), 1)
-    reduced = cv2.resize(near, size, interpolation=cv2.INTER_AREA)
-    most = min(int(n / (1 + RATIO_RANGE)) for n in (*size, far.shape[1], far.shape[0]))
-    # Half the image, so that a tile is left in view where part of the near field is not.
-    side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
-    blurred_far = cv2.GaussianBlur(far, (0, 0), _BLUR)
-    blurred_near = cv2.GaussianBlur(reduced, (0, 0), _BLUR)
-    blurred_far -= blurred_far.mean()
-    return TileSearch(
-        far=blurred_far,
-        power=sum_window_squares(blurred_far, side),
-        reduced=blurred_near,
-        scale=(width / size[0], height / size[1]),
-        ratio=ratio,
-        side=side,
-    )
-
-
-def correlate_template(image: Grey, power: NDArray[np.float64], template: Grey) -> NDArray[np.float64]:
-    """Correlate a template with each window of an image of its size (zero-mean, normalised).
-
-    Parameters
-    ----------
-    image : (height, width) array
-        Grey levels.
-    power : (height - rows + 1, width - columns + 1) array
-        Of the image's windows, from ``sum_window_squares``.
-    template : (rows, columns) array
-        Grey levels.
-
-    Returns
-    -------
-    (height - rows + 1, width - columns + 1) array
-        Correlation coefficients; -1 where a window or the template is blank.
+    ``power``, (height - rows + 1, width - columns + 1), is of the image's windows, from ``sum_window_squares``. Of that
+    shape are the coefficients; -1 where a window or the template is blank.
     """
     centred = template - np.float32(template.mean())
     covariance = cv2.matchTemplate(image, centred, cv2.TM_CCORR).astype(np.float64)
@@ -261,43 +232,28 @@ def correlate_template(image: Grey, power: NDArray[np.float64], template: Grey) 
     return np.where(good, covariance / norm, -1.0)
 
 
-def sum_window_squares(image: Grey, side: int) -> NDArray[np.float64]:
-    """Sum the squares about the mean of each window of an image.
-
-    Parameters
-    ----------
-    image : (height, width) array
-        Grey levels.
-    side : int
-        Of the windows, pixels.
-
-    Returns
-    -------
-    (height - side + 1, width - side + 1) array
-        Grey levels squared.
-    """
+def sum_window_squares(image: Grey, side: int) -> Array:
+    """Sum the squares about the mean of each square window of an image: (height - side + 1, width - side + 1)."""
     sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     total = _sum_windows(sums, side)
     square = _sum_windows(squares, side)
     return np.asarray(square - total**2 / side**2)
 
 
-def _sum_windows(integral: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+def _sum_windows(integral: Array, side: int) -> Array:
     """Sums over windows from sums over all that is left of and above each place."""
     top_left, top_right = integral[:-side, :-side], integral[:-side, side:]
     bottom_left, bottom_right = integral[side:, :-side], integral[side:, side:]
     return np.asarray(bottom_right - top_right - bottom_left + top_left)
 
 
-def _places_along(size: int, margin: float) -> NDArray[np.float64]:
+def _places_along(size: int, margin: float) -> Array:
     """Five places along a side of so many px, a margin from its ends; the middle where there is no room."""
     last = size - 1
     if last <= 2 * margin:
         return np.array([last / 2])
     return np.linspace(margin, last - margin, 5)
 
-
-Array = NDArray[np.float64]
 
 LEAST_COEFFICIENT = 0.5
 """Correlation coefficient below which two pictures are not taken to show the same surface."""
@@ -371,31 +327,14 @@ class Calibration:
     near_size: tuple[int, int]
 
 
-def calibrate(far: ImageSource, near: ImageSource, ratio: float, kind: Kind = "homography",
-              distortion: bool = False) -> Calibration:
+def calibrate_near_camera(far: ImageSource, near: ImageSource, ratio: float, kind: Kind = "homography",
+                          distortion: bool = False) -> Calibration:
     """Find the mapping that takes positions in the far image to positions in the near image.
 
-    Parameters
-    ----------
-    far, near : ImageSource
-        One picture of each camera; the near one may be turned by 5 degrees.
-    ratio : float
-        Rough near px per far px, right within 15 %.
-    kind : {"translation", "similarity", "homography"}, optional
-        What the mapping may be; a translation keeps the ratio as given.
-    distortion : bool, optional
-        Also find k1.
-
-    Returns
-    -------
-    Calibration
-        The mapping and how well it is known.
-
-    Raises
-    ------
-    InputError
-        Where the ratio cannot be right, an image has no texture, the two show nothing in common, or the near image
-        does not lie in the far one.
+    The near image may be turned by 5 degrees; ``ratio`` is about its px per far px, right within 15 %. ``kind`` says
+    what the mapping may be: a translation keeps the ratio as given. ``distortion`` asks for k1 too. Raises InputError
+    where the ratio cannot be right, an image has no texture, the two show nothing in common, or the near image does not
+    lie in the far one.
     """
     _check_sizes(far, near, ratio)
     whole = Window(0, 0, far.width, far.height)
@@ -428,7 +367,7 @@ class _Pair:
     def locate(self, ratio: float, n_tiles: int | None) -> tuple[Registration | None, float]:
         """The registration from the first tile that leads to one, and the best coefficient met on the way."""
         best = 0.0
-        search = prepare_search(self.far, self.near, ratio)
+        search = TileSearch.prepare(self.far, self.near, ratio)
         matches = search.find_matches(fixed=self.kind == "translation")
         for match in islice(matches, n_tiles):
             if match.coefficient < _LEAST_START:
@@ -574,14 +513,13 @@ def _describe(found: Registration, far_size: tuple[int, int], near_size: tuple[i
     grid = mapping.to_specimen(np.column_stack([x.ravel(), y.ravel()]))
 
     def describe_similarity(parameters: Array) -> Array:
-        similarity, _ = fit_similarity(model.build_mapping(parameters), grid)
-        return _similarity_of(similarity)
+        return _similarity_of(fit_similarity(model.build_mapping(parameters), grid)[0])
 
     def list_homography(parameters: Array) -> Array:
         return model.build_mapping(parameters).homography.ravel()
 
-    ratio, rotation, x0, y0 = describe_similarity(found.parameters)
-    _, rest = fit_similarity(mapping, grid)
+    similarity, rest = fit_similarity(mapping, grid)
+    ratio, rotation, x0, y0 = _similarity_of(similarity)
     distances = np.hypot(*rest.T)
     return Calibration(
         mapping=mapping,

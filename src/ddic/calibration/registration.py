@@ -64,20 +64,7 @@ class NearImage:
         return Window(0, 0, self.by_x.shape[1], self.by_x.shape[0])
 
     def average(self, mapping: CameraMapping, points: Array) -> Array:
-        """Average grey level and gradient over the unit squares about specimen points.
-
-        Parameters
-        ----------
-        mapping : CameraMapping
-            From far to near px.
-        points : (n, 2) array
-            Far px.
-
-        Returns
-        -------
-        (n, 3) array
-            Grey level, and its gradient by near x and y in grey levels per near px.
-        """
+        """Average grey level and gradient by near x and y, (n, 3), over the unit squares about far points (n, 2)."""
         along = (np.arange(self.samples) + 0.5) / self.samples - 0.5
         within = np.stack(np.meshgrid(along, along), axis=-1).reshape(1, -1, 2)
         n_samples = within.shape[1]
@@ -148,20 +135,7 @@ class Registration:
 
 
 def read_near_image(source: ImageSource, ratio: float) -> NearImage:
-    """Read an image as a spline.
-
-    Parameters
-    ----------
-    source : ImageSource
-        The near image.
-    ratio : float
-        Near px per far px, which tells how many samples a far pixel takes.
-
-    Returns
-    -------
-    NearImage
-        Its spline and its gradient.
-    """
+    """Read the near image as a spline; ``ratio``, near px per far px, tells how many samples a far pixel takes."""
     window = Window(0, 0, source.width, source.height)
     gradient = read_gradient(source, window, _DEGREE)
     coefficients = read_spline(source, window, _DEGREE).coefficients
@@ -178,30 +152,9 @@ def register(far: GradientImage, near: NearImage, model: CameraModel, start: Arr
     The covariance is A^-1 Z^T R Z A^-T, A = Z^T J with J the derivatives made of the near gradient, and R the
     covariance of the residuals from their autocorrelation up to CORRELATION_LENGTH px, tapered linearly.
 
-    Parameters
-    ----------
-    far : GradientImage
-        The whole far image.
-    near : NearImage
-        The near image.
-    model : CameraModel
-        Family of phi.
-    start : (n_parameters,) array
-        Parameters to begin with.
-    part : Window
-        Of the near image, whose pixels are used.
-    tolerance : float, optional
-        Largest step of the part's corners at the end, near px.
-
-    Returns
-    -------
-    Registration
-        The mapping and how certain it is.
-
-    Raises
-    ------
-    ConvergenceError
-        Where the mapping runs away or does not settle.
+    ``far`` is the whole far image; of the near one the pixels of ``part`` are used. ``model`` is the family of phi,
+    ``start`` (n_parameters,) are its parameters to begin with. It ends where the part's corners move by less than
+    ``tolerance``, near px. Raises ConvergenceError where the mapping runs away or does not settle.
     """
     parameters = start
     corners = _corners(part)

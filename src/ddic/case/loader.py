@@ -1,63 +1,27 @@
 """Case files: read, checked against the schema, paths made absolute.
 
-Sections of the schema by their place in a case file; what is wrong with a case file, in plain words; keys that are
-right, but change nothing beside what else it says.
+What is wrong with a case file, in plain words; keys that are right, but change nothing beside what else it says.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ddic.case.frame_files import find_frames, is_pattern, is_series
-from ddic.case.schema import Case, OutputSection
+from ddic.case.named_files import find_frames, is_pattern, is_series, list_named_files
+from ddic.case.schema import Case, Location, find_section
 from ddic.errors import InputError
 from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
 from ddic.io.text_files import parse_toml, read_text
 from ddic.mesh.mesh import Mesh
 from ddic.partition.ties import Tying
-
-Location = tuple[int | str, ...]
-"""Keys and places in lists that lead to a value of a case file, from outside in."""
-
-
-def find_section(location: Location) -> type[BaseModel] | None:
-    """Find the schema of a section by the keys that lead to it; None where there is no section at that place.
-
-    Places in lists are passed over.
-    """
-    section: type[BaseModel] = Case
-    for step in location:
-        if isinstance(step, int):
-            continue
-        field = section.model_fields.get(step)
-        inner = None if field is None else find_section_in(field.annotation)
-        if inner is None:
-            return None
-        section = inner
-    return section
-
-
-def find_section_in(annotation: Any) -> type[BaseModel] | None:
-    """Find the section inside an annotation such as ``tuple[Circle, ...]`` or ``Section | None``.
-
-    It is the first model that the annotation names; None where it names none.
-    """
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for part in get_args(annotation):
-        found = find_section_in(part)
-        if found is not None:
-            return found
-    return None
-
 
 EXPECTED = {
     "string_type": "a text in quotes",
@@ -267,6 +231,10 @@ class LoadedCase:
         """Whether it names several deformed images."""
         return is_series(self.case)
 
+    def list_inputs(self) -> list[Path]:
+        """List the files that it reads and no run replaces, the case file too."""
+        return [self.path, *list_named_files(self.case, self.path.parent)]
+
     def with_output(self, file: Path) -> LoadedCase:
         """Have the result written elsewhere: the same but for ``output.file``."""
         output = self.case.output.model_copy(update={"file": file})
@@ -318,7 +286,7 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
     except InputError:
         return None, problems
     folder = path.resolve().parent
-    missing = [f"{file}: no such file; check the path" for file in _list_named_files(data, Case, folder)
+    missing = [f"{file}: no such file; check the path" for file in list_named_files(data, folder)
                if not is_readable_file(file) and not is_pattern(file)]
     case = _validate_without_bad_keys(data)
     if case is None:
@@ -346,28 +314,6 @@ def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
     return None
 
 
-def _list_named_files(data: Any, section: type[BaseModel], folder: Path) -> Iterator[Path]:
-    """Input files that a case names, wherever else it is wrong; absolute."""
-    if isinstance(data, list):
-        for item in data:
-            yield from _list_named_files(item, section, folder)
-    if not isinstance(data, dict):
-        return
-    for key, value in data.items():
-        field = section.model_fields.get(key)
-        inner = None if field is None else find_section_in(field.annotation)
-        if inner is not None and inner is not OutputSection:
-            yield from _list_named_files(value, inner, folder)
-        elif field is not None and _takes_path(field.annotation) and isinstance(value, str):
-            yield _locate(value, folder)
-        elif field is not None and _takes_path(field.annotation) and isinstance(value, list):
-            yield from (_locate(item, folder) for item in value if isinstance(item, str))
-
-
-def _locate(value: Path | str, folder: Path) -> Path:
-    return find_real_path(folder / value)
-
-
 def _require_text_name(path: Path) -> None:
     """Refuse a case in a folder whose name is no text, which results and messages could not hold."""
     try:
@@ -376,10 +322,6 @@ def _require_text_name(path: Path) -> None:
         name = str(path).encode("utf-8", "backslashreplace").decode()
         raise InputError(f"{name}: the path of this case file is no UTF-8 text, which results name; rename the folder "
                          "or the file") from error
-
-
-def _takes_path(annotation: Any) -> bool:
-    return annotation is Path or any(_takes_path(inner) for inner in get_args(annotation))
 
 
 def _remove(data: Any, location: Location) -> None:
@@ -401,11 +343,18 @@ def parse_case(text: str, path: Path) -> Case:
     word = data.get("discontinuity")
     if isinstance(word, str) and word != DETECT:
         raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
-    data = convert_shorthand(data)
+    return convert_to_case(convert_shorthand(data), str(path))
+
+
+def convert_to_case(data: Mapping[str, Any], source: str) -> Case:
+    """Validate what a case says, its shorthand written out.
+
+    ``source`` is named before each line of the InputError that says what is wrong.
+    """
     try:
         return _validate(data)
     except ValidationError as error:
-        raise InputError([f"{path}: {line}" for line in describe(error, data)]) from error
+        raise InputError([f"{source}: {line}" for line in describe(error, data)]) from error
 
 
 def _validate(data: Mapping[str, Any]) -> Case:
@@ -436,7 +385,7 @@ def _absolute(model: Model, folder: Path) -> Model:
 def _absolute_value(value: Any, folder: Path) -> Any:
     """The same value with absolute paths in it, at any depth."""
     if isinstance(value, Path):
-        return _locate(value, folder)
+        return find_real_path(folder / value)
     if isinstance(value, BaseModel):
         return _absolute(value, folder)
     if isinstance(value, tuple):
@@ -453,45 +402,28 @@ OF_KRYLOV = ("tolerance", "max_iterations", "inexact")
 OF_PARTITION = ("subdomains", "partition", "blocks", "partition_file")
 """Keys of [solver] that say how the mesh is split."""
 
+OF_SEARCH = ("rigid", "features", "pyramid", "largest_enriched_block")
+"""Keys of [start] that only a search asks."""
+
 
 def list_unused_keys(case: Case) -> list[str]:
     """List the keys that a valid case gives and nothing asks for, a line each: key, what it goes with, what to do."""
-    return [*_list_unused_solver_keys(case), *_list_unused_start_keys(case), *_list_other_unused_keys(case)]
-
-
-def _list_unused_solver_keys(case: Case) -> Iterator[str]:
-    method = case.solver.method
-    if method == "auto":
-        return
-    yield from _describe(case.solver, "solver", ("frames",), 'solver.method = "auto"')
-    if method != "dual":
-        yield from _describe(case.solver, "solver", OF_DUAL, 'solver.method = "dual"')
-    if method in ("assembled", "monolithic"):
-        yield from _describe(case.solver, "solver", OF_KRYLOV, 'solver.method = "dual" or "conjugate_gradient"')
-    if method == "monolithic":
-        yield from _describe(case.solver, "solver", OF_PARTITION, "a method of several subdomains")
-
-
-def _list_unused_start_keys(case: Case) -> Iterator[str]:
-    start = case.start
-    if start.from_result is not None:
-        of_search = ("rigid", "features", "pyramid", "largest_enriched_block")
-        yield from _describe(start, "start", of_search, "a start without start.from_result, which replaces it")
-        return
-    if not start.rigid and start.features:
-        yield from _describe(start, "start", ("features",), "start.rigid = true, after which they are sought")
-    if not case.discontinuity:
-        yield from _describe(start, "start", ("largest_enriched_block",), "[[discontinuity]]")
-
-
-def _list_other_unused_keys(case: Case) -> Iterator[str]:
-    if case.solver.method not in ("auto", "dual") and case.start.independent:
-        yield from _describe(case.start, "start", ("independent",), 'solver.method = "dual"')
-    if not case.near:
-        yield from _describe(case.images, "images", ("noise",), "[[near]], whose cameras it is weighed against")
-
-
-def _describe(section: BaseModel, name: str, keys: tuple[str, ...], asker: str) -> Iterator[str]:
-    for key in keys:
-        if key in section.model_fields_set:
-            yield f"{name}.{key} changes nothing here: it goes with {asker}; leave it out"
+    method, start = case.solver.method, case.start
+    searches = start.from_result is None
+    is_never_dual = method not in ("auto", "dual")
+    # Section, keys of it, what they go with, and whether that is missing.
+    rules: list[tuple[str, tuple[str, ...], str, bool]] = [
+        ("solver", ("frames",), 'solver.method = "auto"', method != "auto"),
+        ("solver", OF_DUAL, 'solver.method = "dual"', is_never_dual),
+        ("solver", OF_KRYLOV, 'solver.method = "dual" or "conjugate_gradient"', method in ("assembled", "monolithic")),
+        ("solver", OF_PARTITION, "a method of several subdomains", method == "monolithic"),
+        ("start", OF_SEARCH, "a start without start.from_result, which replaces it", not searches),
+        ("start", ("features",), "start.rigid = true, after which they are sought",
+         searches and start.features and not start.rigid),
+        ("start", ("largest_enriched_block",), "[[discontinuity]]", searches and not case.discontinuity),
+        ("start", ("independent",), 'solver.method = "dual"', is_never_dual and start.independent),
+        ("images", ("noise",), "[[near]], whose cameras it is weighed against", not case.near),
+    ]
+    return [f"{name}.{key} changes nothing here: it goes with {partner}; leave it out"
+            for name, keys, partner, is_idle in rules if is_idle
+            for key in keys if key in getattr(case, name).model_fields_set]

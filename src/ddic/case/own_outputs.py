@@ -1,7 +1,11 @@
-"""Outputs that replace nothing but earlier outputs of the same kind: never an input, by whatever name or link."""
+"""Outputs that replace nothing but earlier outputs of the same kind: never an input, by whatever name or link.
+
+Those of commands, and the result of a case with what stands beside it.
+"""
 
 from __future__ import annotations
 
+import errno
 import mmap
 import os
 import stat
@@ -10,10 +14,22 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
-from ddic.case.frame_files import PATTERN
+from ddic.case.loader import LoadedCase
+from ddic.case.named_files import PATTERN, list_named_files
+from ddic.case.schema import Case
 from ddic.errors import InputError
+from ddic.io.input_file import find_real_path, is_readable_file
+from ddic.io.result_schema import (
+    earlier_path,
+    frames_path,
+    not_converged_path,
+    physical_path,
+    sidecar_path,
+    summary_path,
+)
 from ddic.io.text_files import read_text
 
 LONGEST_CASE = 1 << 20
@@ -74,13 +90,13 @@ def require_no_input(path: Path, inputs: Iterable[Path | None] = ()) -> None:
     if not stat.S_ISREG(mode):
         what = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
         raise InputError(f"{path}: is {what}; give the name of a file")
-    for other in inputs:
-        if other is not None and _is_same(path, other):
-            raise InputError(f"{path}: would overwrite the input {other}; choose another output")
+    lost = _find_lost(inputs, [path])
+    if lost is not None:
+        raise InputError(f"{path}: would overwrite the input {lost}; choose another output")
     for case_file in _list_toml_files(path):
-        for other in _list_named_files(case_file):
-            if _is_same(path, other):
-                raise InputError(f"{path}: would overwrite {other}, an input of {case_file}; choose another output")
+        lost = _find_lost(_list_texts_of_files(case_file), [path])
+        if lost is not None:
+            raise InputError(f"{path}: would overwrite {lost}, an input of {case_file}; choose another output")
 
 
 def _is_own(path: Path, kind: OutputKind) -> bool:
@@ -89,21 +105,14 @@ def _is_own(path: Path, kind: OutputKind) -> bool:
         return begins or (bool(kind.holds) and content.find(kind.holds) >= 0)
 
 
-def _is_same(path: Path, other: Path) -> bool:
-    try:
-        return os.path.samefile(path, other)
-    except (OSError, ValueError):
-        return False
-
-
 def _list_toml_files(path: Path) -> list[Path]:
     """TOML files beside a file and in the folder above, where case files stand."""
     folder = path.absolute().parent
     return [found for where in (folder, folder.parent) for found in sorted(where.glob("*.toml"))]
 
 
-def _list_named_files(case_file: Path) -> Iterator[Path]:
-    """Files that a TOML file names but for what it has written, and that are there."""
+def _list_texts_of_files(case_file: Path) -> Iterator[Path]:
+    """What a TOML file, a case or not, may name: every text but in what it has written, and files that match it."""
     try:
         if case_file.stat().st_size > LONGEST_CASE:
             return
@@ -123,3 +132,96 @@ def _list_texts(value: Any) -> Iterator[str]:
     elif isinstance(value, dict | list):
         for item in value.values() if isinstance(value, dict) else value:
             yield from _list_texts(item)
+
+
+ROOM_IN_NAME = 48
+"""Bytes that names of files beside the result are longer by, those under construction among them:
+``.NAME.not_converged.near_1.residual.vtkhdf.PID.tmp`` less the result's own ending."""
+
+
+def check_output(loaded: LoadedCase) -> None:
+    """Check that the result and what stands beside it can be written and overwrite no input.
+
+    Raises InputError at the first problem.
+    """
+    case = loaded.case
+    check_output_file(case.output.file)
+    if case.output.file.suffix == ".json":
+        raise InputError(f"output.file: {case.output.file} is the name of the summary that is written beside the "
+                         "result; choose another ending, such as .vtkhdf")
+    check_nothing_is_overwritten(case.output.file, case, [loaded.path])
+
+
+def check_output_file(file: Path) -> None:
+    """Check that a file can be written.
+
+    Raises InputError where it is a folder or a link in circles, or its folder is not there or cannot be written to.
+    """
+    folder = file.parent
+    try:
+        if _is_endless_link(file):
+            raise InputError(f"output.file: {file} is a link that leads in circles; remove it, or give another name")
+        if file.is_dir():
+            raise InputError(f"output.file: {file} is a folder; give the name of a file")
+        if file.exists() and not file.is_file():
+            raise InputError(f"output.file: {file} is a device or a pipe; give the name of a file")
+        if not folder.is_dir():
+            raise InputError(f"output.file: there is no folder {folder}; make it first")
+        longest = os.pathconf(folder, "PC_NAME_MAX")
+        if len(os.fsencode(file.name)) > longest - ROOM_IN_NAME:
+            raise InputError(f"output.file: {file.name} is too long a name: the file system takes {longest} bytes, of "
+                             f"which files beside it need {ROOM_IN_NAME}; shorten it")
+        # Rights alone do not tell: some folders are no places for files.
+        with TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        raise InputError(f"output.file: the folder {folder} cannot be written to ({reason}); choose another") from error
+
+
+def _is_endless_link(path: Path) -> bool:
+    try:
+        path.stat()
+    except OSError as error:
+        return error.errno == errno.ELOOP
+    return False
+
+
+def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path | None] = (),
+                                 key: str = "output.file") -> None:
+    """Check that neither a result nor what stands beside it takes the place of an input.
+
+    A case may go on from the field that it left when it did not converge: the next one replaces that. ``others`` are
+    further inputs, None for each that is not given; ``key`` is where the result's name comes from, for the message.
+    Raises InputError at the first input that would be lost.
+    """
+    start = case.start.from_result
+    n_cameras = 1 + len(case.near)
+    replaced = [*_list_company(result, n_cameras), *_list_company(earlier_path(result), n_cameras)]
+    last_field = _list_company(not_converged_path(result), n_cameras)
+    inputs = [*others, *(path for path in list_named_files(case, Path()) if path != start)]
+    frames = find_real_path(frames_path(result))
+    lost = _find_lost(inputs, [*replaced, *last_field], frames) or _find_lost([start], replaced, frames)
+    if lost is not None:
+        raise InputError(f"{key}: {result} would overwrite the input {lost}; choose another name")
+
+
+def _list_company(result: Path, n_cameras: int) -> list[Path]:
+    """A result file and what stands beside it."""
+    sidecars = (sidecar_path(result, camera) for camera in range(n_cameras))
+    return [result, summary_path(result), physical_path(result), *sidecars]
+
+
+def _find_lost(inputs: Iterable[Path | None], written: Iterable[Path], folder: Path | None = None) -> Path | None:
+    """The first input in a folder, or one of the files to be written, by another name too: a hard link for instance."""
+    places = {find_real_path(path) for path in written}
+    existing = [path for path in places if is_readable_file(path)]
+    for path in inputs:
+        if path is None:
+            continue
+        real = find_real_path(path)
+        if real in places or (folder is not None and folder in real.parents):
+            return path
+        if is_readable_file(path) and any(path.samefile(other) for other in existing):
+            return path
+    return None

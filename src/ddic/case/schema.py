@@ -1,42 +1,26 @@
 """The case file's schema: every key, its type, its default, its unit and what it means.
 
-``json_schema_extra`` holds what the type does not tell: "unit", where a key has one; "shape", how a list is written;
-"default", where the value that stands for it is not the one that counts. docs/case-file.md is written from it
-(scripts/write_case_reference.py).
+The text below a key is what it means; ``note`` holds what its type does not tell. docs/case-file.md is written from
+them (scripts/write_case_reference.py).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 MOST_IN_PLANE_STRAIN = 0.4999
 """Largest Poisson's ratio in plane strain, where the modulus of area over that of shear, 1 / (1 - 2 nu), enters the
 operator squared: 2.5e7 there, of the 1e16 that numbers hold. A larger value refuses less."""
-Box = tuple[Finite, Finite, Finite, Finite]
 
 
-class Section(BaseModel):
-    """Base of all sections: unknown keys are errors, values are frozen."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-def _require_exclusion(saturation: float | None, exclude_saturated: bool, section: str) -> None:
-    """Raise where a level of saturation is given that nothing uses."""
-    if saturation is not None and not exclude_saturated:
-        raise ValueError(f"{section}.saturation goes with {section}.exclude_saturated = true")
-
-
-Paths = Annotated[tuple[Path, ...], Field(min_length=1)]
-Times = Annotated[tuple[Finite, ...], Field(min_length=1)]
+def note(**words: str) -> Any:
+    """Note what the type of a key does not tell: its unit, the shape of a list, a default that stands for another."""
+    return Field(json_schema_extra={**words})
 
 
 def _is_list(value: object) -> str:
@@ -46,171 +30,149 @@ def _is_list(value: object) -> str:
 
 OneOrSeveral = Discriminator(_is_list)
 
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, lt=1)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+Pixels = Annotated[NonNegative, note(unit="px")]
+PositivePixels = Annotated[Positive, note(unit="px")]
+GreyLevels = Annotated[Positive, note(unit="grey levels")]
+Degrees = Annotated[Finite, note(unit="degrees")]
+Point = Annotated[tuple[Finite, Finite], note(shape="[x, y]")]
+Points = Annotated[tuple[tuple[Finite, Finite], ...], note(unit="px", shape="list of [x, y]")]
+Box = Annotated[tuple[Finite, Finite, Finite, Finite], note(unit="px", shape="[x0, y0, x1, y1]")]
+Paths = Annotated[tuple[Path, ...], Field(min_length=1)]
+Times = Annotated[tuple[Finite, ...], Field(min_length=1)]
+ImageFiles = Annotated[
+    Annotated[Path, Tag("one")] | Annotated[Paths, Tag("several")], OneOrSeveral,
+    note(shape="path, list of paths or pattern")]
+TimeOrTimes = Annotated[
+    Annotated[Finite, Tag("one")] | Annotated[Times, Tag("several")], OneOrSeveral,
+    note(unit="chosen by you", shape="number or list of numbers")]
+
+
+class Section(BaseModel):
+    """Base of all sections: unknown keys are errors, values are frozen, and keys have to go together."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def _list_contradictions(self) -> Iterator[str]:
+        """What does not go together in a section, of which the first is told."""
+        yield from ()
+
+    @model_validator(mode="after")
+    def _require_none(self) -> Self:
+        for contradiction in self._list_contradictions():
+            raise ValueError(contradiction)
+        return self
+
 
 class ImagesSection(Section):
     """The image pair; paths are relative to the case file."""
 
-    reference: Path = Field(
-        description=(
-            "The image f before loading: TIFF (8 or 16 bit, floating point), PNG, BMP or JPEG. TIFF is read window by "
-            "window; the others are decoded once a node, which then holds one whole copy (1 byte a pixel of 8 bit, 2 "
-            "of 16 bit), and for a moment a second one. Colour is turned to grey, with a warning; a palette of "
-            "greys is grey. JPEG's compression changes grey levels: a warning says so "
-            "([what it costs](spoilt-images.md#jpeg))."
-        ),
-    )
-    deformed: Annotated[Annotated[Path, Tag("one")] | Annotated[Paths, Tag("several")], OneOrSeveral] = Field(
-        description=(
-            "The image g after loading, of the same size; or those of a [series](series.md): a list, or a pattern such "
-            'as `"frame_*.tif"`, whose files are taken in the order of the numbers in their names.'
-        ),
-        json_schema_extra={"shape": "path, list of paths or pattern"},
-    )
-    reference_mask: Path | None = Field(
-        default=None,
-        description="Image of the same size as the reference; pixels that are 0 in it are left out.",
-    )
-    deformed_mask: Path | None = Field(
-        default=None,
-        description="The same for the deformed image, in its own coordinates; one for all images of a series.",
-    )
-    exclude_saturated: bool = Field(
-        default=False,
-        description="Leave out saturated pixels, and what is interpolated from them.",
-    )
-    saturation: Positive | None = Field(
-        default=None,
-        description=(
-            "Grey level from which on a pixel is saturated, with `exclude_saturated`. Found from the image where left "
-            "out: the largest of the integer type or, where no level of the image is higher, of 8, 10, 12 or 14 bits, "
-            "in the lower or the upper bits of the type."
-        ),
-        json_schema_extra={"unit": "grey levels", "default": "found"},
-    )
-    pixel_size: Positive | None = Field(
-        default=None,
-        description="Physical size of a pixel; needs `length_unit`.",
-        json_schema_extra={"unit": "length_unit per px"},
-    )
-    length_unit: str = Field(
-        default="px",
-        description='Unit of lengths in the outputs, such as `"mm"`; needs `pixel_size`.',
-    )
-    reference_time: Finite = Field(
-        default=0.0,
-        description="Time stamp of the reference image.",
-        json_schema_extra={"unit": "chosen by you"},
-    )
-    deformed_time: Annotated[Annotated[Finite, Tag("one")] | Annotated[Times, Tag("several")], OneOrSeveral] = Field(
-        default=1.0,
-        description=(
-            "Time stamp of the deformed image; of a series a list with one for each, which grow. The numbers of the "
-            "images where a series is given none."
-        ),
-        json_schema_extra={"unit": "chosen by you", "shape": "number or list of numbers"},
-    )
-    frame_interval: Positive | None = Field(
-        default=None,
-        description="Time from each image of a series to the next, in place of a list in `deformed_time`.",
-        json_schema_extra={"unit": "chosen by you"},
-    )
-    noise: Positive | None = Field(
-        default=None,
-        description=(
-            "Standard deviation of a picture's noise, which weighs this camera against those of `[[near]]` and gives "
-            "the [uncertainty](uncertainty.md) of the field; estimated from the residual where left out."
-        ),
-        json_schema_extra={"unit": "grey levels"},
-    )
-    at_rest: Path | None = Field(
-        default=None,
-        description=(
-            "Another picture of the specimen as the reference image shows it: the two give the noise for "
-            "`output.uncertainty`."
-        ),
-    )
+    reference: Path
+    """The image f before loading: TIFF (8 or 16 bit, floating point), PNG, BMP or JPEG. TIFF is read window by window;
+    the others are decoded once a node, which then holds one whole copy (1 byte a pixel of 8 bit, 2 of 16 bit), and for
+    a moment a second one. Colour is turned to grey, with a warning; a palette of greys is grey. JPEG's compression
+    changes grey levels: a warning says so ([what it costs](spoilt-images.md#jpeg))."""
 
-    @model_validator(mode="after")
-    def _saturation_needs_exclusion(self) -> ImagesSection:
-        """Refuse a level of saturation that nothing uses."""
-        _require_exclusion(self.saturation, self.exclude_saturated, "images")
-        return self
+    deformed: ImageFiles
+    """The image g after loading, of the same size; or those of a [series](series.md): a list, or a pattern such as
+    `"frame_*.tif"`, whose files are taken in the order of the numbers in their names."""
 
-    @model_validator(mode="after")
-    def _unit_needs_size(self) -> ImagesSection:
-        """Refuse one of pixel_size and length_unit without the other."""
+    reference_mask: Path | None = None
+    """Image of the same size as the reference; pixels that are 0 in it are left out."""
+
+    deformed_mask: Path | None = None
+    """The same for the deformed image, in its own coordinates; one for all images of a series."""
+
+    exclude_saturated: bool = False
+    """Leave out saturated pixels, and what is interpolated from them."""
+
+    saturation: Annotated[GreyLevels | None, note(default="found")] = None
+    """Grey level from which on a pixel is saturated, with `exclude_saturated`. Found from the image where left out: the
+    largest of the integer type or, where no level of the image is higher, of 8, 10, 12 or 14 bits, in the lower or the
+    upper bits of the type."""
+
+    pixel_size: Annotated[Positive | None, note(unit="length_unit per px")] = None
+    """Physical size of a pixel; needs `length_unit`."""
+
+    length_unit: str = "px"
+    """Unit of lengths in the outputs, such as `"mm"`; needs `pixel_size`."""
+
+    reference_time: Annotated[Finite, note(unit="chosen by you")] = 0.0
+    """Time stamp of the reference image."""
+
+    deformed_time: TimeOrTimes = 1.0
+    """Time stamp of the deformed image; of a series a list with one for each, which grow. The numbers of the images
+    where a series is given none."""
+
+    frame_interval: Annotated[Positive | None, note(unit="chosen by you")] = None
+    """Time from each image of a series to the next, in place of a list in `deformed_time`."""
+
+    noise: GreyLevels | None = None
+    """Standard deviation of a picture's noise, which weighs this camera against those of `[[near]]` and gives the
+    [uncertainty](uncertainty.md) of the field; estimated from the residual where left out."""
+
+    at_rest: Path | None = None
+    """Another picture of the specimen as the reference image shows it: the two give the noise for
+    `output.uncertainty`."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        if self.saturation is not None and not self.exclude_saturated:
+            yield "images.saturation goes with images.exclude_saturated = true"
         if (self.pixel_size is None) != (self.length_unit == "px"):
-            raise ValueError("pixel_size and length_unit go together: give both, or neither")
-        return self
+            yield "pixel_size and length_unit go together: give both, or neither"
 
 
-class Circle(Section):
+class CircleSection(Section):
     """A circular hole, pixels."""
 
-    center: tuple[Finite, Finite] = Field(
-        description="Centre.",
-        json_schema_extra={"unit": "px", "shape": "[x, y]"},
-    )
-    radius: Positive = Field(
-        description="Radius.",
-        json_schema_extra={"unit": "px"},
-    )
+    center: Annotated[Point, note(unit="px")]
+    """Centre."""
+
+    radius: PositivePixels
+    """Radius."""
 
 
-class Polygon(Section):
+class PolygonSection(Section):
     """A polygonal hole, vertices in pixels."""
 
-    vertices: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)] = Field(
-        description="At least three vertices, in either sense; the polygon is closed by itself.",
-        json_schema_extra={"unit": "px", "shape": "list of [x, y]"},
-    )
+    vertices: Annotated[Points, Field(min_length=3)]
+    """At least three vertices, in either sense; the polygon is closed by itself."""
 
 
 class StructuredSection(Section):
     """A built-in mesh of square cells on a region of interest, pixels."""
 
-    region: Box = Field(
-        description="The rectangle; it must hold at least one cell and lie in the image.",
-        json_schema_extra={"unit": "px", "shape": "[x0, y0, x1, y1]"},
-    )
-    element_size: Positive = Field(
-        description="Side of the cells.",
-        json_schema_extra={"unit": "px"},
-    )
-    cell: Literal["Q4", "T3"] = Field(
-        default="Q4",
-        description="Quadrilaterals, or triangles with alternating diagonals.",
-    )
-    circles: tuple[Circle, ...] = Field(
-        default=(),
-        description="Circular holes, see below.",
-    )
-    polygons: tuple[Polygon, ...] = Field(
-        default=(),
-        description="Polygonal holes, see below.",
-    )
-    mask: Path | None = Field(
-        default=None,
-        description=(
-            "Image of the same size as the reference, not 0 where cells may be; a cell is kept if at least half of "
-            "its pixels are."
-        ),
-    )
-    mask_outline: Literal["staircase", "snapped"] = Field(
-        default="staircase",
-        description=(
-            '"snapped": what the mask leaves out is a hole as circles and polygons are: nodes are moved onto its '
-            "outline, with one at each corner, and are node sets `hole_...`, numbered on after polygons."
-        ),
-    )
+    region: Box
+    """The rectangle; it must hold at least one cell and lie in the image."""
 
-    @model_validator(mode="after")
-    def _region_is_not_empty(self) -> StructuredSection:
-        """Refuse a region smaller than an element."""
+    element_size: PositivePixels
+    """Side of the cells."""
+
+    cell: Literal["Q4", "T3"] = "Q4"
+    """Quadrilaterals, or triangles with alternating diagonals."""
+
+    circles: tuple[CircleSection, ...] = ()
+    """Circular holes, see below."""
+
+    polygons: tuple[PolygonSection, ...] = ()
+    """Polygonal holes, see below."""
+
+    mask: Path | None = None
+    """Image of the same size as the reference, not 0 where cells may be; a cell is kept if at least half of its pixels
+    are."""
+
+    mask_outline: Literal["staircase", "snapped"] = "staircase"
+    """"snapped": what the mask leaves out is a hole as circles and polygons are: nodes are moved onto its outline, with
+    one at each corner, and are node sets `hole_...`, numbered on after polygons."""
+
+    def _list_contradictions(self) -> Iterator[str]:
         x0, y0, x1, y1 = self.region
         if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
-            raise ValueError("region = [x0, y0, x1, y1] must hold at least one element of element_size")
-        return self
+            yield "region = [x0, y0, x1, y1] must hold at least one element of element_size"
 
 
 class MappingSection(Section):
@@ -219,62 +181,45 @@ class MappingSection(Section):
     S is diag(1, -1) with y_up, else the identity.
     """
 
-    scale: Positive = Field(
-        default=1.0,
-        description="Magnification.",
-        json_schema_extra={"unit": "px per mesh unit"},
-    )
-    rotation_degrees: Finite = Field(
-        default=0.0,
-        description="Positive from +x to +y, which is clockwise on the screen.",
-        json_schema_extra={"unit": "degrees"},
-    )
-    translation: tuple[Finite, Finite] = Field(
-        default=(0.0, 0.0),
-        description="Where the mesh's origin lies in the image.",
-        json_schema_extra={"unit": "px", "shape": "[x, y]"},
-    )
-    y_up: bool = Field(
-        default=False,
-        description=(
-            "The mesh's y points up, as in most CAD programs: it is turned over first, y_px falls where y_mesh grows, "
-            "and `displacement_mesh_units` has y up as well."
-        ),
-    )
+    scale: Annotated[Positive, note(unit="px per mesh unit")] = 1.0
+    """Magnification."""
+
+    rotation_degrees: Degrees = 0.0
+    """Positive from +x to +y, which is clockwise on the screen."""
+
+    translation: Annotated[Point, note(unit="px")] = (0.0, 0.0)
+    """Where the mesh's origin lies in the image."""
+
+    y_up: bool = False
+    """The mesh's y points up, as in most CAD programs: it is turned over first, y_px falls where y_mesh grows, and
+    `displacement_mesh_units` has y up as well."""
 
 
 class MeshSection(Section):
     """A mesh file that meshio reads, or a built-in structured mesh."""
 
-    file: Path | None = Field(
-        default=None,
-        description=(
-            "A mesh that meshio reads (Gmsh, Abaqus, VTU, ...), with linear triangles (T3) and quadrilaterals (Q4), "
-            "mixed or not. Named groups of lines and vertices, and point sets, become node sets. Orientation is "
-            "repaired and unused nodes are dropped; a third coordinate must be constant. Cells that are flat, "
-            "crossed, not convex, repeated, over one another or without a pixel are refused by number, and so are "
-            "nodes on a side of a cell that is not theirs."
-        ),
-        json_schema_extra={"unit": "mesh units"},
-    )
-    structured: StructuredSection | None = Field(
-        default=None,
-        description="A built-in mesh, see `[mesh.structured]`.",
-    )
-    mapping: MappingSection = Field(
-        default=MappingSection(),
-        description="From the file's units to pixels, see `[mesh.mapping]`.",
-        json_schema_extra={"default": "identity"},
-    )
+    file: Annotated[Path | None, note(unit="mesh units")] = None
+    """A mesh that meshio reads (Gmsh, Abaqus, VTU, ...), with linear triangles (T3) and quadrilaterals (Q4), mixed or
+    not. Named groups of lines and vertices, and point sets, become node sets. Orientation is repaired and unused nodes
+    are dropped; a third coordinate must be constant. Cells that are flat, crossed, not convex, repeated, over one
+    another or without a pixel are refused by number, and so are nodes on a side of a cell that is not theirs."""
 
-    @model_validator(mode="after")
-    def _one_source(self) -> MeshSection:
-        """Refuse both sources of a mesh, or none."""
+    structured: StructuredSection | None = None
+    """A built-in mesh, see `[mesh.structured]`."""
+
+    mapping: Annotated[MappingSection, note(default="identity")] = MappingSection()
+    """From the file's units to pixels, see `[mesh.mapping]`."""
+
+    @property
+    def name(self) -> str:
+        """What messages call the mesh: its file, or the section that describes the built-in one."""
+        return "mesh.structured" if self.file is None else str(self.file)
+
+    def _list_contradictions(self) -> Iterator[str]:
         if (self.file is None) == (self.structured is None):
-            raise ValueError("give either mesh.file or [mesh.structured]")
+            yield "give either mesh.file or [mesh.structured]"
         if self.structured is not None and self.mapping != MappingSection():
-            raise ValueError("mesh.mapping applies to mesh.file only: structured meshes are in pixels")
-        return self
+            yield "mesh.mapping applies to mesh.file only: structured meshes are in pixels"
 
 
 class NearSection(Section):
@@ -283,197 +228,118 @@ class NearSection(Section):
     x_near = ratio R(rotation) x_far + offset, or what ``ddic calibrate`` wrote.
     """
 
-    reference: Path = Field(
-        description="The near image before loading.",
-    )
-    deformed: Annotated[Annotated[Path, Tag("one")] | Annotated[Paths, Tag("several")], OneOrSeveral] = Field(
-        description="The near image after loading, of the same size; of a series as many as in `[images]`.",
-        json_schema_extra={"shape": "path, list of paths or pattern"},
-    )
-    reference_mask: Path | None = Field(
-        default=None,
-        description="As in `[images]`.",
-    )
-    deformed_mask: Path | None = Field(
-        default=None,
-        description="As in `[images]`.",
-    )
-    exclude_saturated: bool = Field(
-        default=False,
-        description="As in `[images]`.",
-    )
-    saturation: Positive | None = Field(
-        default=None,
-        description="As in `[images]`.",
-        json_schema_extra={"unit": "grey levels", "default": "found"},
-    )
-    mapping_file: Path | None = Field(
-        default=None,
-        description=(
-            "Where the near image lies in the far one, as `ddic calibrate` writes it; else give `ratio` and `offset`."
-        ),
-    )
-    ratio: Positive | None = Field(
-        default=None,
-        description="x_near = ratio R(rotation) x_far + offset.",
-        json_schema_extra={"unit": "near px per far px"},
-    )
-    rotation_degrees: Finite = Field(
-        default=0.0,
-        description="R, from x towards y.",
-        json_schema_extra={"unit": "degrees"},
-    )
-    offset: tuple[Finite, Finite] | None = Field(
-        default=None,
-        description="Near pixel that shows the far image's pixel (0, 0).",
-        json_schema_extra={"unit": "near px", "shape": "[x, y]"},
-    )
-    motion: Literal["translation", "rigid"] = Field(
-        default="translation",
-        description=(
-            "How the near set-up may have moved between its two pictures, solved for: a translation, or with a "
-            "rotation."
-        ),
-    )
-    region: Box | None = Field(
-        default=None,
-        description="Only elements in this box are measured by the near images.",
-        json_schema_extra={"unit": "far px", "shape": "[x0, y0, x1, y1]"},
-    )
-    mesh: MeshSection | None = Field(
-        default=None,
-        description=(
-            "Elements of the near field's own, described like `[mesh]`, in place of the far ones under them ([Meshes "
-            "that do not match](near-far.md#meshes-that-do-not-match)); not together with `region`."
-        ),
-        json_schema_extra={"unit": "far px"},
-    )
-    margin: NonNegative = Field(
-        default=8.0,
-        description="Edge of the near image that is not used.",
-        json_schema_extra={"unit": "near px"},
-    )
-    noise: Positive | None = Field(
-        default=None,
-        description="Standard deviation of a near picture's noise; estimated from the residual where left out.",
-        json_schema_extra={"unit": "grey levels"},
-    )
-    use_far: bool = Field(
-        default=False,
-        description="Use the far image under these elements too, as additional information ([BP17], Remark 5).",
-    )
+    reference: Path
+    """The near image before loading."""
 
-    @model_validator(mode="after")
-    def _saturation_needs_exclusion(self) -> NearSection:
-        """Refuse a level of saturation that nothing uses."""
-        _require_exclusion(self.saturation, self.exclude_saturated, "near")
-        return self
+    deformed: ImageFiles
+    """The near image after loading, of the same size; of a series as many as in `[images]`."""
 
-    @model_validator(mode="after")
-    def _one_mapping(self) -> NearSection:
-        """Refuse both ways to give the mapping, or none."""
+    reference_mask: Path | None = None
+    """As in `[images]`."""
+
+    deformed_mask: Path | None = None
+    """As in `[images]`."""
+
+    exclude_saturated: bool = False
+    """As in `[images]`."""
+
+    saturation: Annotated[GreyLevels | None, note(default="found")] = None
+    """As in `[images]`."""
+
+    mapping_file: Path | None = None
+    """Where the near image lies in the far one, as `ddic calibrate` writes it; else give `ratio` and `offset`."""
+
+    ratio: Annotated[Positive | None, note(unit="near px per far px")] = None
+    """x_near = ratio R(rotation) x_far + offset."""
+
+    rotation_degrees: Degrees = 0.0
+    """R, from x towards y."""
+
+    offset: Annotated[Point | None, note(unit="near px")] = None
+    """Near pixel that shows the far image's pixel (0, 0)."""
+
+    motion: Literal["translation", "rigid"] = "translation"
+    """How the near set-up may have moved between its two pictures, solved for: a translation, or with a rotation."""
+
+    region: Annotated[Box | None, note(unit="far px")] = None
+    """Only elements in this box are measured by the near images."""
+
+    mesh: Annotated[MeshSection | None, note(unit="far px")] = None
+    """Elements of the near field's own, described like `[mesh]`, in place of the far ones under them ([Meshes that do
+    not match](near-far.md#meshes-that-do-not-match)); not together with `region`."""
+
+    margin: Annotated[NonNegative, note(unit="near px")] = 8.0
+    """Edge of the near image that is not used."""
+
+    noise: GreyLevels | None = None
+    """Standard deviation of a near picture's noise; estimated from the residual where left out."""
+
+    use_far: bool = False
+    """Use the far image under these elements too, as additional information ([BP17], Remark 5)."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        if self.saturation is not None and not self.exclude_saturated:
+            yield "near.saturation goes with near.exclude_saturated = true"
         given = (self.ratio is not None, self.offset is not None)
         if given not in ((False, False), (True, True)) or (self.mapping_file is None) != all(given):
-            raise ValueError("give either near.mapping_file, as ddic calibrate writes it, or near.ratio and "
-                             "near.offset")
+            yield "give either near.mapping_file, as ddic calibrate writes it, or near.ratio and near.offset"
         if self.mapping_file is not None and self.rotation_degrees != 0:
-            raise ValueError("near.rotation_degrees goes with near.ratio and near.offset")
-        return self
-
-    @model_validator(mode="after")
-    def _one_choice_of_elements(self) -> NearSection:
-        """Refuse a region beside a mesh."""
+            yield "near.rotation_degrees goes with near.ratio and near.offset"
         if self.mesh is not None and self.region is not None:
-            raise ValueError("near.region chooses elements of [mesh]; a near field with near.mesh measures all of "
-                             "its own")
-        return self
+            yield "near.region chooses elements of [mesh]; a near field with near.mesh measures all of its own"
 
 
 class DiscontinuitySection(Section):
     """A line across which the displacement may be discontinuous: a crack, a shear band, a sliding interface."""
 
-    vertices: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=2)] | None = Field(
-        default=None,
-        description=(
-            "The line in the reference image: two points, or more for a polyline. It may end inside the mesh, where "
-            "nothing opens ahead of the last element that it crosses from side to side. Left out, a straight line "
-            'across the whole region is looked for; `discontinuity = "detect"` at the top of the file says the same.'
-        ),
-        json_schema_extra={"unit": "px", "shape": "list of [x, y]"},
-    )
-    opening: Literal["both", "tangential", "normal"] = Field(
-        default="both",
-        description=(
-            "In which directions the displacement may be discontinuous: any, along the line only (sliding, shear "
-            "bands), or across it only."
-        ),
-    )
-    tip_functions: bool = Field(
-        default=False,
-        description=(
-            "Whether displacements about ends of the line inside the mesh hold the root of the distance from the end, "
-            "as at the tip of a crack: give the line up to its tip then. Without, nothing but the two elements nearest "
-            "to the tip is less exact."
-        ),
-    )
-    uncertainty: NonNegative = Field(
-        default=3.0,
-        description=(
-            "How far from its place the line that is given may be. Pixels as near to it are not taken for something "
-            "else than the specimen, and where the residual says that the line is off by more than half a pixel, or "
-            "its tip with tip_functions by more than one along it, they are refined and the image measured again; the "
-            "log and the result say by how much. 0 takes the line as given."
-        ),
-        json_schema_extra={"unit": "px"},
-    )
+    vertices: Annotated[Points, Field(min_length=2)] | None = None
+    """The line in the reference image: two points, or more for a polyline. It may end inside the mesh, where nothing
+    opens ahead of the last element that it crosses from side to side. Left out, a straight line across the whole region
+    is looked for; `discontinuity = "detect"` at the top of the file says the same."""
 
-    @model_validator(mode="after")
-    def _has_length(self) -> DiscontinuitySection:
-        """Refuse vertices that repeat the one before."""
+    opening: Literal["both", "tangential", "normal"] = "both"
+    """In which directions the displacement may be discontinuous: any, along the line only (sliding, shear bands), or
+    across it only."""
+
+    tip_functions: bool = False
+    """Whether displacements about ends of the line inside the mesh hold the root of the distance from the end, as at
+    the tip of a crack: give the line up to its tip then. Without, nothing but the two elements nearest to the tip is
+    less exact."""
+
+    uncertainty: Pixels = 3.0
+    """How far from its place the line that is given may be. Pixels as near to it are not taken for something else than
+    the specimen, and where the residual says that the line is off by more than half a pixel, or its tip with
+    tip_functions by more than one along it, they are refined and the image measured again; the log and the result say
+    by how much. 0 takes the line as given."""
+
+    def _list_contradictions(self) -> Iterator[str]:
         if self.vertices is not None and any(one == other for one, other in pairwise(self.vertices)):
-            raise ValueError("discontinuity.vertices: a vertex repeats the one before it")
-        return self
-
-    @model_validator(mode="after")
-    def _tip_is_known(self) -> DiscontinuitySection:
-        """Refuse tip functions where no crack's tip is."""
+            yield "discontinuity.vertices: a vertex repeats the one before it"
         if self.tip_functions and self.vertices is None:
-            raise ValueError("discontinuity.tip_functions: a line that is looked for crosses the whole region; give "
-                             "discontinuity.vertices up to the tip")
+            yield ("discontinuity.tip_functions: a line that is looked for crosses the whole region; give "
+                   "discontinuity.vertices up to the tip")
         if self.tip_functions and self.opening != "both":
-            raise ValueError(f'discontinuity.tip_functions: a tip opens in both directions; leave opening = '
-                             f'"{self.opening}" out')
-        return self
+            yield f'discontinuity.tip_functions: a tip opens in both directions; leave opening = "{self.opening}" out'
 
 
 class CorrelationSection(Section):
     """How grey levels are interpolated and compared."""
 
-    spline_degree: Literal[3, 5] = Field(
-        default=3,
-        description=(
-            "Degree of the interpolating B-spline. On fine speckle the cubic's bias is 1.4e-3 px at quarter-pixel "
-            "shifts, the quintic's 2.3e-4 px; on texture finer than the pixels it is the other way round, 0.009 and "
-            "0.054 px on the foam of [near-far.md](near-far.md)."
-        ),
-    )
-    grey_correction: Literal["auto", "none", "global", "element"] = Field(
-        default="auto",
-        description=(
-            'Correction of brightness and contrast: none, one for the whole image, or one per element. `"auto"` takes '
-            "the first of these that leaves no more than noise, and says which; with the last one it takes off how the "
-            "light changes inside elements."
-        ),
-    )
-    spoilt_pixels: Literal["exclude", "keep"] = Field(
-        default="exclude",
-        description=(
-            "Whether pixels that do not show the specimen's surface (dirt, a reflection, what lies in front of it, a "
-            "crack) are found from their residual and left out, with elements that hold no other, or no texture; the "
-            'result marks them (`excluded`). With `"keep"` all pixels count, as both images show them: nor is the '
-            "reference blurred where a frame is less sharp."
-        ),
-    )
+    spline_degree: Literal[3, 5] = 3
+    """Degree of the interpolating B-spline. On fine speckle the cubic's bias is 1.4e-3 px at quarter-pixel shifts, the
+    quintic's 2.3e-4 px; on texture finer than the pixels it is the other way round, 0.009 and 0.054 px on the foam of
+    [near-far.md](near-far.md)."""
+
+    grey_correction: Literal["auto", "none", "global", "element"] = "auto"
+    """Correction of brightness and contrast: none, one for the whole image, or one per element. `"auto"` takes the
+    first of these that leaves no more than noise, and says which; with the last one it takes off how the light changes
+    inside elements."""
+
+    spoilt_pixels: Literal["exclude", "keep"] = "exclude"
+    """Whether pixels that do not show the specimen's surface (dirt, a reflection, what lies in front of it, a crack)
+    are found from their residual and left out, with elements that hold no other, or no texture; the result marks them
+    (`excluded`). With `"keep"` all pixels count, as both images show them: nor is the reference blurred where a frame
+    is less sharp."""
 
     @property
     def correction_of_start(self) -> Literal["none", "global", "element"]:
@@ -484,401 +350,253 @@ class CorrelationSection(Section):
 class RegularizationSection(Section):
     """Equilibrium gap, or Tikhonov's term; weight given as eta or as a cut-off wavelength in pixels."""
 
-    cut_off_wavelength: Positive | None = Field(
-        default=None,
-        description=(
-            "Wavelength below which the displacement is ruled by mechanical equilibrium, above which by the images; "
-            "eta follows from it."
-        ),
-        json_schema_extra={"unit": "px"},
-    )
-    eta: Positive | None = Field(
-        default=None,
-        description="Weight of the equilibrium gap, given directly.",
-        json_schema_extra={"unit": "(grey levels / px)²; grey levels² with Tikhonov"},
-    )
-    operator: Literal["equilibrium_gap", "tikhonov"] = Field(
-        default="equilibrium_gap",
-        description=(
-            "What is kept small: forces out of equilibrium, or, with `[pgd]` alone, the gradient of the displacement, "
-            "which knows no material and holds edges too."
-        ),
-    )
+    cut_off_wavelength: PositivePixels | None = None
+    """Wavelength below which the displacement is ruled by mechanical equilibrium, above which by the images; eta
+    follows from it."""
 
-    not_controlled: tuple[str, ...] = Field(
-        default=("boundary",),
-        description=(
-            'Node sets whose equilibrium is not imposed (loaded and clamped edges). `"boundary"` is the whole '
-            "boundary of the mesh, whatever the mesh's own sets; `[]` controls all nodes."
-        ),
-        json_schema_extra={"shape": "list of texts"},
-    )
-    boxes: tuple[Box, ...] = Field(
-        default=(),
-        description="The nodes in these boxes are not controlled either; each must hold a node.",
-        json_schema_extra={"unit": "px", "shape": "list of [x0, y0, x1, y1]"},
-    )
-    edge_wavelength: Annotated[NonNegative, Field(le=1e9)] = Field(
-        default=16.0,
-        description=(
-            "Wavelength below which equilibrium rules the nodes named in `not_controlled` and `boxes` as well, as if "
-            "nothing loaded them: elements smaller than the speckle are not determined there by the images. 0: they "
-            "are left to the images."
-        ),
-        json_schema_extra={"unit": "px"},
-    )
-    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = Field(
-        default=0.3,
-        description="Poisson's ratio; Young's modulus is 1.",
-    )
-    plane: Literal["stress", "strain"] = Field(
-        default="stress",
-        description="Plane stress or plane strain.",
-    )
+    eta: Annotated[Positive | None, note(unit="(grey levels / px)²; grey levels² with Tikhonov")] = None
+    """Weight of the equilibrium gap, given directly."""
 
-    @model_validator(mode="after")
-    def _one_weight(self) -> RegularizationSection:
-        """Refuse both ways to give the weight, or none."""
+    operator: Literal["equilibrium_gap", "tikhonov"] = "equilibrium_gap"
+    """What is kept small: forces out of equilibrium, or, with `[pgd]` alone, the gradient of the displacement, which
+    knows no material and holds edges too."""
+
+    not_controlled: Annotated[tuple[str, ...], note(shape="list of texts")] = ("boundary",)
+    """Node sets whose equilibrium is not imposed (loaded and clamped edges). `"boundary"` is the whole boundary of the
+    mesh, whatever the mesh's own sets; `[]` controls all nodes."""
+
+    boxes: Annotated[tuple[Box, ...], note(unit="px", shape="list of [x0, y0, x1, y1]")] = ()
+    """The nodes in these boxes are not controlled either; each must hold a node."""
+
+    edge_wavelength: Annotated[Pixels, Field(le=1e9)] = 16.0
+    """Wavelength below which equilibrium rules the nodes named in `not_controlled` and `boxes` as well, as if nothing
+    loaded them: elements smaller than the speckle are not determined there by the images. 0: they are left to the
+    images."""
+
+    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = 0.3
+    """Poisson's ratio; Young's modulus is 1."""
+
+    plane: Literal["stress", "strain"] = "stress"
+    """Plane stress or plane strain."""
+
+    def _list_contradictions(self) -> Iterator[str]:
         if (self.eta is None) == (self.cut_off_wavelength is None):
-            raise ValueError("give either regularization.cut_off_wavelength or regularization.eta")
-        return self
-
-    @model_validator(mode="after")
-    def _strain_is_compressible(self) -> RegularizationSection:
-        """Refuse a material that rounding cannot tell from an incompressible one."""
+            yield "give either regularization.cut_off_wavelength or regularization.eta"
         if self.plane == "strain" and self.poisson_ratio > MOST_IN_PLANE_STRAIN:
-            raise ValueError(f'regularization.poisson_ratio = {self.poisson_ratio:g}: in plane = "strain" no more than '
-                             f"{MOST_IN_PLANE_STRAIN:g} can be computed with; beyond it, elements hardly change their "
-                             "area and rounding hides the images")
-        return self
-
-    @model_validator(mode="after")
-    def _tikhonov_has_no_material(self) -> RegularizationSection:
-        """Refuse keys of the equilibrium gap beside Tikhonov's term."""
+            yield (f'regularization.poisson_ratio = {self.poisson_ratio:g}: in plane = "strain" no more than '
+                   f"{MOST_IN_PLANE_STRAIN:g} can be computed with; beyond it, elements hardly change their "
+                   "area and rounding hides the images")
         of_gap = {"not_controlled", "boxes", "edge_wavelength", "poisson_ratio", "plane"} & self.model_fields_set
         if self.operator == "tikhonov" and of_gap:
-            raise ValueError(f'regularization.{min(of_gap)} goes with regularization.operator = "equilibrium_gap"')
-        return self
+            yield f'regularization.{min(of_gap)} goes with regularization.operator = "equilibrium_gap"'
 
 
 class SolverSection(Section):
     """The linear step of Gauss-Newton."""
 
-    method: Literal["auto", "dual", "assembled", "conjugate_gradient", "monolithic"] = Field(
-        default="auto",
-        description=(
-            '`"dual"`: dual domain decomposition; `"assembled"`: the operator of the whole mesh, spread over ranks and '
-            'factorised together (MUMPS); `"conjugate_gradient"`: conjugate gradients on it, without a factor; '
-            '`"monolithic"`: the whole problem on one rank (CHOLMOD). All give the same field. `"auto"` takes the one '
-            "that is predicted to be fastest among those that fit into memory "
-            "([solver.md](solver.md#which-method)), and the log says why; `weighting`, `preconditioner`, `recycle` or "
-            '`local_inverse` beside it mean `"dual"`.'
-        ),
-    )
-    frames: Count | None = Field(
-        default=None,
-        description=(
-            'For `method = "auto"`: how many deformed images are measured from one reference image, which share its '
-            "factors. More of them are worth a longer set-up."
-        ),
-        json_schema_extra={"default": "1; 10 in `ddic.prepare`"},
-    )
-    subdomains: Count | None = Field(
-        default=None,
-        description='Number of subdomains for `partition = "metis"`.',
-        json_schema_extra={"default": 'the number of ranks, or with `method = "auto"` what is fastest'},
-    )
-    partition: Literal["metis", "blocks", "file"] = Field(
-        default="metis",
-        description=(
-            "How the mesh is split. METIS balances work: a cell's pixels plus 1000 for each node (one a Q4, half a "
-            "one a T3; `bench/cell_costs.py`). Whatever the split, subdomains are dealt to ranks in contiguous ranges "
-            "whose largest work is the least possible."
-        ),
-    )
-    blocks: tuple[Count, Count] | None = Field(
-        default=None,
-        description="For `partition = \"blocks\"`: a regular array of blocks of the mesh's bounding box.",
-        json_schema_extra={"shape": "[columns, rows]"},
-    )
-    partition_file: Path | None = Field(
-        default=None,
-        description=(
-            'For `partition = "file"`: a text file with the subdomain of each cell, from 0 without gaps, in the '
-            "mesh's order; # begins a comment."
-        ),
-    )
-    weighting: Literal["consistent", "paper"] = Field(
-        default="consistent",
-        description=(
-            "Interface rows of the equilibrium gap: weighted so that the solution is that of the whole problem, or as "
-            "in Bouclier & Passieux (2017)."
-        ),
-    )
-    preconditioner: Literal["auto", "two_level", "scaled", "paper", "none"] = Field(
-        default="auto",
-        description=(
-            'Preconditioner of the interface problem ([solver.md](solver.md)). `"auto"` takes `"two_level"` where the '
-            "cut-off wavelength is at least four times the side of a subdomain and there are at least eight "
-            'subdomains, else `"scaled"`; where the method is `"auto"` too, what is predicted to be faster.'
-        ),
-    )
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=1e-6,
-        description="Relative residual at which the Krylov iteration stops at the latest.",
-    )
-    max_iterations: Count = Field(
-        default=1000,
-        description=(
-            'Krylov iterations of a linear step after which the run fails; where `method = "auto"` took conjugate '
-            "gradients, after which it factorises."
-        ),
-    )
-    inexact: bool = Field(
-        default=True,
-        description=(
-            "Solve each linear step only as far as the progress of Gauss-Newton asks, the last one to an estimated "
-            "RMS error of `gauss_newton.rms_tolerance` / 20; false: always to `tolerance`."
-        ),
-    )
-    recycle: bool = Field(
-        default=True,
-        description="Keep what the Krylov solver learnt in one iteration for the next ones.",
-    )
-    local_inverse: Literal["auto", "dense", "sparse"] = Field(
-        default="auto",
-        description=(
-            "How the preconditioner inverts a subdomain's interface operator: as an array, fast while the interface "
-            'is small, or by a sparse factorisation, which saves memory; `"auto"` decides for each subdomain by the '
-            "array's memory."
-        ),
-    )
-    threads: Annotated[int, Field(ge=1, le=1024)] = Field(
-        default=1,
-        description=(
-            "Threads of each rank for work on pixels: prefilter and gradient, M, residuals and the residual image; "
-            "all else is done by one ([scaling.md](scaling.md#threads-inside-a-rank)). No digit of the result depends "
-            "on it. A note says where a node's ranks have more threads than cores."
-        ),
-    )
+    method: Literal["auto", "dual", "assembled", "conjugate_gradient", "monolithic"] = "auto"
+    """`"dual"`: dual domain decomposition; `"assembled"`: the operator of the whole mesh, spread over ranks and
+    factorised together (MUMPS); `"conjugate_gradient"`: conjugate gradients on it, without a factor; `"monolithic"`:
+    the whole problem on one rank (CHOLMOD). All give the same field. `"auto"` takes the one that is predicted to be
+    fastest among those that fit into memory ([solver.md](solver.md#which-method)), and the log says why; `weighting`,
+    `preconditioner`, `recycle` or `local_inverse` beside it mean `"dual"`."""
 
-    @model_validator(mode="after")
-    def _partition_is_complete(self) -> SolverSection:
-        """Refuse keys of another kind of partition, or lacking ones."""
+    frames: Annotated[Count | None, note(default="1; 10 in `ddic.prepare`")] = None
+    """For `method = "auto"`: how many deformed images are measured from one reference image, which share its factors.
+    More of them are worth a longer set-up."""
+
+    subdomains: Annotated[
+        Count | None, note(default='the number of ranks, or with `method = "auto"` what is fastest')] = None
+    """Number of subdomains for `partition = "metis"`."""
+
+    partition: Literal["metis", "blocks", "file"] = "metis"
+    """How the mesh is split. METIS balances work: a cell's pixels plus 1000 for each node (one a Q4, half a one a T3;
+    `bench/cell_costs.py`). Whatever the split, subdomains are dealt to ranks in contiguous ranges whose largest work is
+    the least possible."""
+
+    blocks: Annotated[tuple[Count, Count] | None, note(shape="[columns, rows]")] = None
+    """For `partition = "blocks"`: a regular array of blocks of the mesh's bounding box."""
+
+    partition_file: Path | None = None
+    """For `partition = "file"`: a text file with the subdomain of each cell, from 0 without gaps, in the mesh's order;
+    # begins a comment."""
+
+    weighting: Literal["consistent", "paper"] = "consistent"
+    """Interface rows of the equilibrium gap: weighted so that the solution is that of the whole problem, or as in
+    Bouclier & Passieux (2017)."""
+
+    preconditioner: Literal["auto", "two_level", "scaled", "paper", "none"] = "auto"
+    """Preconditioner of the interface problem ([solver.md](solver.md)). `"auto"` takes `"two_level"` where the cut-off
+    wavelength is at least four times the side of a subdomain and there are at least eight subdomains, else `"scaled"`;
+    where the method is `"auto"` too, what is predicted to be faster."""
+
+    tolerance: Share = 1e-6
+    """Relative residual at which the Krylov iteration stops at the latest."""
+
+    max_iterations: Count = 1000
+    """Krylov iterations of a linear step after which the run fails; where `method = "auto"` took conjugate gradients,
+    after which it factorises."""
+
+    inexact: bool = True
+    """Solve each linear step only as far as the progress of Gauss-Newton asks, the last one to an estimated RMS error
+    of `gauss_newton.rms_tolerance` / 20; false: always to `tolerance`."""
+
+    recycle: bool = True
+    """Keep what the Krylov solver learnt in one iteration for the next ones."""
+
+    local_inverse: Literal["auto", "dense", "sparse"] = "auto"
+    """How the preconditioner inverts a subdomain's interface operator: as an array, fast while the interface is small,
+    or by a sparse factorisation, which saves memory; `"auto"` decides for each subdomain by the array's memory."""
+
+    threads: Annotated[int, Field(ge=1, le=1024)] = 1
+    """Threads of each rank for work on pixels: prefilter and gradient, M, residuals and the residual image; all else is
+    done by one ([scaling.md](scaling.md#threads-inside-a-rank)). No digit of the result depends on it. A note says
+    where a node's ranks have more threads than cores."""
+
+    def _list_contradictions(self) -> Iterator[str]:
         if (self.partition == "blocks") != (self.blocks is not None):
-            raise ValueError('solver.blocks = [columns, rows] goes with solver.partition = "blocks"')
+            yield 'solver.blocks = [columns, rows] goes with solver.partition = "blocks"'
         if (self.partition == "file") != (self.partition_file is not None):
-            raise ValueError('solver.partition_file goes with solver.partition = "file"')
+            yield 'solver.partition_file goes with solver.partition = "file"'
         if self.subdomains is not None and self.partition != "metis":
-            raise ValueError('solver.subdomains goes with solver.partition = "metis"')
-        return self
+            yield 'solver.subdomains goes with solver.partition = "metis"'
 
 
 class GaussNewtonSection(Section):
     """When Gauss-Newton stops: |dq|/|q| <= tolerance or RMS dq <= rms_tolerance, and all dq <= largest_tolerance."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=1e-3,
-        description="Correction relative to the field without its affine part: a specimen that moves is measured as "
-        "finely as one at rest.",
-    )
-    rms_tolerance: NonNegative = Field(
-        default=1e-4,
-        description="Absolute correction; identical images stop by it at once.",
-        json_schema_extra={"unit": "px"},
-    )
-    largest_tolerance: Positive = Field(
-        default=1e-3,
-        description="Correction at any node.",
-        json_schema_extra={"unit": "px"},
-    )
-    max_iterations: Count = Field(
-        default=50,
-        description="Iterations after which the run fails.",
-    )
+    tolerance: Share = 1e-3
+    """Correction relative to the field without its affine part: a specimen that moves is measured as finely as one at
+    rest."""
+
+    rms_tolerance: Pixels = 1e-4
+    """Absolute correction; identical images stop by it at once."""
+
+    largest_tolerance: PositivePixels = 1e-3
+    """Correction at any node."""
+
+    max_iterations: Count = 50
+    """Iterations after which the run fails."""
 
 
 class StartSection(Section):
     """Initial displacement: each stage can be switched off; the first three go on from a given displacement."""
 
-    rigid: bool = Field(
-        default=True,
-        description="Start from a translation found by FFT correlation.",
-    )
-    features: bool = Field(
-        default=True,
-        description=(
-            "After `rigid`, where a translation does not explain the region: match speckles by their looks, which "
-            "finds any rotation, strains of 40 % and pieces that part."
-        ),
-    )
-    pyramid: bool = Field(
-        default=True,
-        description="Solve on coarse-grained images first.",
-    )
-    independent: bool = Field(
-        default=True,
-        description="With the dual method, solve each subdomain alone, without regularisation, before coupling them.",
-    )
-    largest_enriched_block: float = Field(
-        default=64.0, ge=0, allow_inf_nan=False,
-        description=(
-            "With [[discontinuity]]: the pyramid's levels with larger blocks than this hold a continuous displacement. "
-            "Smaller values help where a jump is small and the few large blocks beside the line do not show it."
-        ),
-        json_schema_extra={"unit": "px"},
-    )
-    from_result: Path | None = Field(
-        default=None,
-        description=(
-            "An earlier result file, on the same or another mesh. Where the images bear it out to a pixel it is taken "
-            "as it is; else `rigid`, `features` and `pyramid` go on from it "
-            "([start.md](start.md#from-a-given-displacement)). Of a series `frame` is taken."
-        ),
-    )
-    frame: Count | None = Field(
-        default=None,
-        description="Which frame of a series that `from_result` names, by its number, from 1.",
-        json_schema_extra={"default": "the last one that was measured"},
-    )
-    from_points: Path | None = Field(
-        default=None,
-        description=(
-            "The same from displacements at points: a CSV file with a header row that names the columns x, y, u, v, "
-            "pixels of the reference image."
-        ),
-    )
-    points: tuple[tuple[Finite, Finite, Finite, Finite], ...] | None = Field(
-        default=None,
-        description=(
-            "The same from a few points: each in the reference image, then where it is in the deformed one. One says a "
-            "translation, two a rotation with a scale, three an affine map, more what lies between them."
-        ),
-        json_schema_extra={"unit": "px", "shape": "list of [x, y, x', y']"},
-    )
+    rigid: bool = True
+    """Start from a translation found by FFT correlation."""
 
-    @model_validator(mode="after")
-    def _one_given(self) -> StartSection:
-        """Refuse several displacements to start from."""
+    features: bool = True
+    """After `rigid`, where a translation does not explain the region: match speckles by their looks, which finds any
+    rotation, strains of 40 % and pieces that part."""
+
+    pyramid: bool = True
+    """Solve on coarse-grained images first."""
+
+    independent: bool = True
+    """With the dual method, solve each subdomain alone, without regularisation, before coupling them."""
+
+    largest_enriched_block: Pixels = 64.0
+    """With [[discontinuity]]: the pyramid's levels with larger blocks than this hold a continuous displacement. Smaller
+    values help where a jump is small and the few large blocks beside the line do not show it."""
+
+    from_result: Path | None = None
+    """An earlier result file, on the same or another mesh. Where the images bear it out to a pixel it is taken as it
+    is; else `rigid`, `features` and `pyramid` go on from it ([start.md](start.md#from-a-given-displacement)). Of a
+    series `frame` is taken."""
+
+    frame: Annotated[Count | None, note(default="the last one that was measured")] = None
+    """Which frame of a series that `from_result` names, by its number, from 1."""
+
+    from_points: Path | None = None
+    """The same from displacements at points: a CSV file with a header row that names the columns x, y, u, v, pixels of
+    the reference image."""
+
+    points: Annotated[
+        tuple[tuple[Finite, Finite, Finite, Finite], ...] | None,
+        note(unit="px", shape="list of [x, y, x', y']")] = None
+    """The same from a few points: each in the reference image, then where it is in the deformed one. One says a
+    translation, two a rotation with a scale, three an affine map, more what lies between them."""
+
+    def _list_contradictions(self) -> Iterator[str]:
         given = [name for name in ("from_result", "from_points", "points") if getattr(self, name) is not None]
         if len(given) > 1:
-            raise ValueError(f"start.{given[0]} and start.{given[1]}: give one of them")
+            yield f"start.{given[0]} and start.{given[1]}: give one of them"
         if self.frame is not None and self.from_result is None:
-            raise ValueError("start.frame goes with start.from_result, the result of a series")
+            yield "start.frame goes with start.from_result, the result of a series"
         if self.points == ():
-            raise ValueError("start.points: the list is empty; give [x, y, x', y'] of at least one point")
-        return self
+            yield "start.points: the list is empty; give [x, y, x', y'] of at least one point"
 
 
 class PgdSection(Section):
     """PGD-DIC: the displacement as a sum of products of functions of x and of y, with elements of 1 px or more."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=1e-3,
-        description=(
-            "Corrections end where the RMS of one, component by component, is at most this much of the component "
-            "without its mean, or at most `rms_tolerance`."
-        ),
-    )
-    rms_tolerance: NonNegative = Field(
-        default=1e-4,
-        description="The same in pixels: a component that hardly moves is done by it.",
-        json_schema_extra={"unit": "px"},
-    )
-    stop_at_noise: bool = Field(
-        default=True,
-        description=(
-            "End where a correction fits the images no better than it would fit noise of the residual's level "
-            "([pgd.md](pgd.md#when-corrections-end)); later ones would measure the noise."
-        ),
-    )
-    update: bool = Field(
-        default=True,
-        description=(
-            "After each mode find all functions of one direction anew, in turn those of x and of y: far fewer "
-            "corrections. `false` is the published algorithm."
-        ),
-    )
-    max_corrections: Count = Field(
-        default=200,
-        description="Corrections after which the run fails.",
-    )
-    max_sweeps: Count = Field(
-        default=6,
-        description="Most sweeps of the fixed point that finds a correction, each along x and along y.",
-    )
-    stagnation: Annotated[float, Field(ge=0, lt=1)] = Field(
-        default=0.05,
-        description="Change from sweep to sweep, relative to the correction, at which the fixed point ends earlier.",
-    )
-    output_spacing: Positive | None = Field(
-        default=None,
-        description=(
-            "Side of the cells on which the displacement is written out, a whole number of elements; the products "
-            "themselves are in the file too."
-        ),
-        json_schema_extra={"unit": "px", "default": "4 px or more, for at most 250,000 cells"},
-    )
+    tolerance: Share = 1e-3
+    """Corrections end where the RMS of one, component by component, is at most this much of the component without its
+    mean, or at most `rms_tolerance`."""
+
+    rms_tolerance: Pixels = 1e-4
+    """The same in pixels: a component that hardly moves is done by it."""
+
+    stop_at_noise: bool = True
+    """End where a correction fits the images no better than it would fit noise of the residual's level
+    ([pgd.md](pgd.md#when-corrections-end)); later ones would measure the noise."""
+
+    update: bool = True
+    """After each mode find all functions of one direction anew, in turn those of x and of y: far fewer corrections.
+    `false` is the published algorithm."""
+
+    max_corrections: Count = 200
+    """Corrections after which the run fails."""
+
+    max_sweeps: Count = 6
+    """Most sweeps of the fixed point that finds a correction, each along x and along y."""
+
+    stagnation: Annotated[float, Field(ge=0, lt=1)] = 0.05
+    """Change from sweep to sweep, relative to the correction, at which the fixed point ends earlier."""
+
+    output_spacing: Annotated[PositivePixels | None, note(default="4 px or more, for at most 250,000 cells")] = None
+    """Side of the cells on which the displacement is written out, a whole number of elements; the products themselves
+    are in the file too."""
 
 
 class SeriesSection(Section):
     """How several deformed images are measured one after the other; goes with several of them."""
 
-    start: Literal["extrapolate", "last", "search"] = Field(
-        default="extrapolate",
-        description=(
-            "Where each frame starts: what the last two fields extrapolate to at its time, the last field, or a search "
-            "as for a pair. Where the first two do not converge, the search follows."
-        ),
-    )
-    incremental: Literal["never", "auto", "always"] = Field(
-        default="never",
-        description=(
-            "When a frame that was measured takes the place of the reference image, on the mesh that has moved with "
-            "it: never; where a frame cannot be measured otherwise, or its residual has grown (auto); or always, after "
-            "`update_after` frames. Fields stay those since the first reference image; errors of updates add up "
-            "([series.md](series.md#updating-the-reference-image))."
-        ),
-    )
-    update_after: int = Field(
-        default=1, ge=1,
-        description='With `incremental = "always"`: frames that are compared with one reference image.',
-    )
+    start: Literal["extrapolate", "last", "search"] = "extrapolate"
+    """Where each frame starts: what the last two fields extrapolate to at its time, the last field, or a search as for
+    a pair. Where the first two do not converge, the search follows."""
 
-    @model_validator(mode="after")
-    def _updates_are_asked_for(self) -> SeriesSection:
-        """Refuse a number that nothing looks at."""
+    incremental: Literal["never", "auto", "always"] = "never"
+    """When a frame that was measured takes the place of the reference image, on the mesh that has moved with it: never;
+    where a frame cannot be measured otherwise, or its residual has grown (auto); or always, after `update_after`
+    frames. Fields stay those since the first reference image; errors of updates add up
+    ([series.md](series.md#updating-the-reference-image))."""
+
+    update_after: Annotated[int, Field(ge=1)] = 1
+    """With `incremental = "always"`: frames that are compared with one reference image."""
+
+    def _list_contradictions(self) -> Iterator[str]:
         if "update_after" in self.model_fields_set and self.incremental != "always":
-            raise ValueError('series.update_after goes with series.incremental = "always"')
-        return self
+            yield 'series.update_after goes with series.incremental = "always"'
 
 
 class OutputSection(Section):
     """What is written, relative to the case file."""
 
-    file: Path = Field(
-        default=Path("result.vtkhdf"),
-        description="The result; its folder must exist. The summary, with the suffix `.json`, stands beside it.",
-    )
-    residual_image: bool = Field(
-        default=True,
-        description=(
-            "Also write the residual f(x) - g(x + u) of each pixel. Left out, a series writes none: they would be most "
-            "of the file."
-        ),
-    )
-    uncertainty: bool = Field(
-        default=False,
-        description=(
-            "Also write the standard deviations that the images' noise leaves in displacements and strains, and the "
-            "regularization's bias ([uncertainty.md](uncertainty.md)). The noise is `images.noise`, else that of "
-            "`images.at_rest`, else that of the residual."
-        ),
-    )
-    flip_y: bool = Field(
-        default=False,
-        description="Write coordinates and vectors with y pointing up.",
-    )
+    file: Path = Path("result.vtkhdf")
+    """The result; its folder must exist. The summary, with the suffix `.json`, stands beside it."""
+
+    residual_image: bool = True
+    """Also write the residual f(x) - g(x + u) of each pixel. Left out, a series writes none: they would be most of the
+    file."""
+
+    uncertainty: bool = False
+    """Also write the standard deviations that the images' noise leaves in displacements and strains, and the
+    regularization's bias ([uncertainty.md](uncertainty.md)). The noise is `images.noise`, else that of
+    `images.at_rest`, else that of the residual."""
+
+    flip_y: bool = False
+    """Write coordinates and vectors with y pointing up."""
 
 
 class AcquisitionSection(Section):
@@ -887,55 +605,43 @@ class AcquisitionSection(Section):
     Good-practices guides for DIC ask that these be stated; what is left out is "not stated in the case" in the report.
     """
 
-    camera: str = Field(
-        default="",
-        description="Maker and model of the camera.",
-    )
-    lens: str = Field(
-        default="",
-        description="Maker, model and focal length of the lens.",
-    )
-    aperture: str = Field(
-        default="",
-        description="F-number of the lens.",
-    )
-    stand_off_distance: str = Field(
-        default="",
-        description="From the camera to the specimen.",
-    )
-    image_rate: str = Field(
-        default="",
-        description="How often images were taken.",
-    )
-    exposure: str = Field(
-        default="",
-        description="Exposure time.",
-    )
-    lighting: str = Field(
-        default="",
-        description="Lamps, wavelength, polarizers, filters.",
-    )
-    patterning: str = Field(
-        default="",
-        description="How the specimen got its pattern.",
-    )
-    processing: str = Field(
-        default="",
-        description="What was done to the images before ddic reads them: filters, correction of distortion.",
-    )
-    specimen: str = Field(
-        default="",
-        description="Material, dimensions, and what loads it.",
-    )
+    camera: str = ""
+    """Maker and model of the camera."""
+
+    lens: str = ""
+    """Maker, model and focal length of the lens."""
+
+    aperture: str = ""
+    """F-number of the lens."""
+
+    stand_off_distance: str = ""
+    """From the camera to the specimen."""
+
+    image_rate: str = ""
+    """How often images were taken."""
+
+    exposure: str = ""
+    """Exposure time."""
+
+    lighting: str = ""
+    """Lamps, wavelength, polarizers, filters."""
+
+    patterning: str = ""
+    """How the specimen got its pattern."""
+
+    processing: str = ""
+    """What was done to the images before ddic reads them: filters, correction of distortion."""
+
+    specimen: str = ""
+    """Material, dimensions, and what loads it."""
 
 
 class Case(Section):
     """A whole measurement."""
 
-    title: str = Field(
-        default="",
-        description="Copied to the result and to the pictures.",
-    )
+    title: str = ""
+    """Copied to the result and to the pictures."""
+
     images: ImagesSection
     near: tuple[NearSection, ...] = ()
     mesh: MeshSection
@@ -950,53 +656,29 @@ class Case(Section):
     output: OutputSection = OutputSection()
     acquisition: AcquisitionSection = AcquisitionSection()
 
-    @model_validator(mode="after")
-    def _one_line_is_found(self) -> Case:
-        """Refuse a line to be found beside others."""
+    def _list_contradictions(self) -> Iterator[str]:
         if len(self.discontinuity) > 1 and any(section.vertices is None for section in self.discontinuity):
-            raise ValueError("[[discontinuity]]: a section without vertices, whose line is looked for, has to be the "
-                             "only one; give discontinuity.vertices of all")
-        return self
-
-    @model_validator(mode="after")
-    def _elements_about_tips_are_whole(self) -> Case:
-        """Refuse a grey-level correction for each of the small cells about a tip."""
+            yield ("[[discontinuity]]: a section without vertices, whose line is looked for, has to be the "
+                   "only one; give discontinuity.vertices of all")
         if self.correlation.grey_correction == "element" and any(line.tip_functions for line in self.discontinuity):
-            raise ValueError('correlation.grey_correction = "element": with discontinuity.tip_functions, elements '
-                             'about a tip are made of cells of a few pixels, which do not tell it; use "global"')
-        return self
-
-    @model_validator(mode="after")
-    def _lines_cut_one_mesh(self) -> Case:
-        """Refuse discontinuities beside near fields with meshes of their own."""
+            yield ('correlation.grey_correction = "element": with discontinuity.tip_functions, elements '
+                   'about a tip are made of cells of a few pixels, which do not tell it; use "global"')
         if self.discontinuity and any(section.mesh is not None for section in self.near):
-            raise ValueError("[[discontinuity]] and near.mesh do not go together: a line cuts one mesh; leave "
-                             "near.mesh out, the near field then measures elements of [mesh]")
-        return self
-
-    @model_validator(mode="after")
-    def _near_needs_an_interface(self) -> Case:
-        """Refuse near fields where the solver has no place for them."""
+            yield ("[[discontinuity]] and near.mesh do not go together: a line cuts one mesh; leave "
+                   "near.mesh out, the near field then measures elements of [mesh]")
         if self.near and self.solver.method == "monolithic":
-            raise ValueError('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
-                             "factorises the same system")
+            yield ('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
+                   "factorises the same system")
         if self.near and self.solver.subdomains is not None and self.solver.subdomains <= len(self.near):
-            raise ValueError(f"solver.subdomains = {self.solver.subdomains}: the far field and every near field need "
-                             f"a subdomain each; ask for at least {len(self.near) + 1}")
-        return self
-
-    @model_validator(mode="after")
-    def _tikhonov_needs_products(self) -> Case:
-        """Refuse Tikhonov's term where no method has it."""
+            yield (f"solver.subdomains = {self.solver.subdomains}: the far field and every near field need "
+                   f"a subdomain each; ask for at least {len(self.near) + 1}")
         if self.pgd is None and self.regularization is not None and self.regularization.operator == "tikhonov":
-            raise ValueError('regularization.operator = "tikhonov" goes with [pgd]; use "equilibrium_gap"')
-        return self
+            yield 'regularization.operator = "tikhonov" goes with [pgd]; use "equilibrium_gap"'
+        if self.pgd is not None:
+            yield from self._list_refused_by_pgd()
 
-    @model_validator(mode="after")
-    def _pgd_stands_alone(self) -> Case:
-        """Refuse what makes no sense beside PGD-DIC."""
-        if self.pgd is None:
-            return self
+    def _list_refused_by_pgd(self) -> Iterator[str]:
+        """What makes no sense beside PGD-DIC."""
         of_gap = frozenset() if self.regularization is None else self.regularization.model_fields_set
         refused = {
             "[[near]]": (bool(self.near), "measure one image pair at a time"),
@@ -1012,5 +694,39 @@ class Case(Section):
         }
         for what, (is_given, remedy) in refused.items():
             if is_given:
-                raise ValueError(f"{what} does not go with [pgd]; {remedy}")
-        return self
+                yield f"{what} does not go with [pgd]; {remedy}"
+
+
+Location = tuple[int | str, ...]
+"""Keys and places in lists that lead to a value of a case file, from outside in."""
+
+
+def find_section(location: Location) -> type[BaseModel] | None:
+    """Find the schema of a section by the keys that lead to it; None where there is no section at that place.
+
+    Places in lists are passed over.
+    """
+    section: type[BaseModel] = Case
+    for step in location:
+        if isinstance(step, int):
+            continue
+        field = section.model_fields.get(step)
+        inner = None if field is None else find_section_in(field.annotation)
+        if inner is None:
+            return None
+        section = inner
+    return section
+
+
+def find_section_in(annotation: Any) -> type[BaseModel] | None:
+    """Find the section inside an annotation such as ``tuple[CircleSection, ...]`` or ``Section | None``.
+
+    It is the first model that the annotation names; None where it names none.
+    """
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for part in get_args(annotation):
+        found = find_section_in(part)
+        if found is not None:
+            return found
+    return None

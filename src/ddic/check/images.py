@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_deformed
+from ddic.case.named_files import list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
-from ddic.errors import InputError
+from ddic.errors import InputError, Problems
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import (
     MOST_LOOKED_AT,
@@ -24,7 +24,6 @@ from ddic.images.grey_levels import (
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
-from ddic.inputs.inputs import Problems
 from ddic.inputs.mesh_source import check_weight_fits
 from ddic.io.image_file import ImageFile, hold_image, read_mask
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
@@ -57,22 +56,27 @@ def check_images(images: ImagesSection | NearSection, problems: Problems) -> Ima
             if images.noise is not None:
                 check_noise(reference, images.noise)
     deformed_images = list_deformed(images)
+    # A blank frame of a series is told when its turn comes, and loses no other.
+    is_pair = len(deformed_images) == 1
     for path in deformed_images:
-        deformed = _check_image(path, images.deformed_mask, problems)
-        if deformed is not None and len(deformed_images) == 1:
-            # A blank frame of a series is told when its turn comes, and loses no other.
-            with problems.gathered():
-                check_varied(deformed)
-        if reference is not None and deformed is not None:
-            with problems.gathered():
-                _check_same_size(reference, deformed)
+        _check_other_image(path, images.deformed_mask, reference, problems, must_vary=is_pair)
     if isinstance(images, ImagesSection) and images.at_rest is not None:
-        at_rest = _check_image(images.at_rest, None, problems)
-        if reference is not None and at_rest is not None:
-            with problems.gathered():
-                check_varied(at_rest)
-                _check_same_size(reference, at_rest)
+        _check_other_image(images.at_rest, None, reference, problems, must_vary=True)
     return reference
+
+
+def _check_other_image(path: Path, mask_path: Path | None, reference: ImageSource | None, problems: Problems, *,
+                       must_vary: bool) -> None:
+    """Check an image that is to be compared with the reference image."""
+    image = _check_image(path, mask_path, problems)
+    if image is None:
+        return
+    with problems.gathered():
+        if must_vary:
+            check_varied(image)
+    with problems.gathered():
+        if reference is not None:
+            _check_same_size(reference, image)
 
 
 def check_decodable(images: ImagesSection | NearSection, problems: Problems) -> None:

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase
-from ddic.case.schema import Case
-from ddic.errors import InputError
-from ddic.inputs.inputs import Problems
-from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits, describe_mesh_source
+from ddic.case.schema import Case, SolverSection
+from ddic.errors import InputError, Problems
+from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
 from ddic.io.text_files import read_partition
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
@@ -50,7 +49,7 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
     case = loaded.case
     mesh = checked.mesh
     with problems.gathered():
-        check_pixels(mesh, checked.pixel_counts, describe_mesh_source(case))
+        check_pixels(mesh, checked.pixel_counts, case.mesh.name)
     not_controlled = np.zeros(0, np.int64)
     section = case.regularization
     if section is not None:
@@ -66,9 +65,7 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
         if case.solver.partition_file is not None:
             read_partition(case.solver.partition_file, mesh.n_cells)
     with problems.gathered(loaded.path):
-        _check_subdomains(case.solver.subdomains, mesh)
-    with problems.gathered(loaded.path):
-        _check_blocks(case.solver.blocks, mesh)
+        _check_number_of_subdomains(case.solver, mesh)
     return not_controlled
 
 
@@ -119,16 +116,14 @@ def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
     check_most_ranks(loaded, count_most_ranks(loaded.case, mesh), n_ranks)
 
 
-def _check_subdomains(n_subdomains: int | None, mesh: Mesh) -> None:
-    if n_subdomains is not None and n_subdomains > mesh.n_cells:
-        raise InputError(f"solver.subdomains = {n_subdomains}: the mesh has only {mesh.n_cells} cells; ask for fewer "
-                         "subdomains")
-
-
-def _check_blocks(blocks: tuple[int, int] | None, mesh: Mesh) -> None:
-    if blocks is not None and blocks[0] * blocks[1] > mesh.n_cells:
-        raise InputError(f"solver.blocks = {list(blocks)}: {blocks[0] * blocks[1]} blocks of a mesh of only "
-                         f"{mesh.n_cells} cells; ask for fewer")
+def _check_number_of_subdomains(solver: SolverSection, mesh: Mesh) -> None:
+    """Refuse more of them than cells; the schema lets only one of both keys be given."""
+    if solver.subdomains is not None and solver.subdomains > mesh.n_cells:
+        raise InputError(f"solver.subdomains = {solver.subdomains}: the mesh has only {mesh.n_cells} cells; ask for "
+                         "fewer subdomains")
+    if solver.blocks is not None and solver.blocks[0] * solver.blocks[1] > mesh.n_cells:
+        raise InputError(f"solver.blocks = {list(solver.blocks)}: {solver.blocks[0] * solver.blocks[1]} blocks of a "
+                         f"mesh of only {mesh.n_cells} cells; ask for fewer")
 
 
 def _check_wavelength(wavelength: float | None, mesh: Mesh, edge: NDArray[np.int64]) -> None:

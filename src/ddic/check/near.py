@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.inputs.cameras import Camera
+from ddic.inputs.cameras import Camera, list_corners
 
 LEAST_COEFFICIENT = 0.3
 """Correlation of a near reference image with the far one below which it does not show what its mapping says: unrelated
@@ -51,10 +51,7 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
 
 def _find_corners(near: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """First and last column and row, far-field pixels, that a near image reaches by its mapping."""
-    image = near.reference.image
-    last_column, last_row = image.width - 1.0, image.height - 1.0
-    corners = np.array([[0.0, 0.0], [0.0, last_row], [last_column, 0.0], [last_column, last_row]])
-    seen = near.setup.mapping.to_specimen(corners)
+    seen = near.setup.mapping.to_specimen(list_corners(near.reference.image))
     low = np.ceil(seen.min(axis=0)).astype(np.int64)
     high = np.floor(seen.max(axis=0)).astype(np.int64)
     return low, high

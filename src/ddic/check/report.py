@@ -1,4 +1,4 @@
-"""What the inputs of a case are; all inputs of a PGD-DIC case validated without measuring."""
+"""What the inputs of a case are, found fit."""
 
 from __future__ import annotations
 
@@ -8,20 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
 from ddic.check.mesh import CheckedMesh, count_most_ranks
-from ddic.errors import InputError
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
-from ddic.inputs.inputs import Problems
-from ddic.inputs.rectangle import (
-    Rectangle,
-    check_rectangle,
-    choose_controlled_lines,
-    find_rectangle_of_case,
-)
-from ddic.inputs.start_points import StartPoints
+from ddic.inputs.rectangle import Rectangle, choose_controlled_lines
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
@@ -113,25 +104,8 @@ def _describe_discontinuities(case: Case, mesh: Mesh) -> str | None:
     return "1 line, to be found" if case.discontinuity else None
 
 
-def check_separated_case(loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
-                         problems: Problems) -> CheckReport:
-    """Check the rectangle of a case with [pgd] and what refers to it; whether it holds ``points`` is not asked.
-
-    Raises InputError with the problems of all inputs, one line each, those that were found before among them.
-    """
-    if reference is None:
-        raise InputError(problems.lines)
-    rectangle: Rectangle | None = None
-    with problems.gathered(loaded.path):
-        rectangle = find_rectangle_of_case(loaded.case)
-        check_rectangle(loaded.case, rectangle, reference.width, reference.height)
-    problems.require_none()
-    if rectangle is None:
-        raise InputError(problems.lines)
-    return _describe(loaded.case, reference, rectangle)
-
-
-def _describe(case: Case, reference: ImageSource, rectangle: Rectangle) -> CheckReport:
+def describe_rectangle(case: Case, reference: ImageSource, rectangle: Rectangle) -> CheckReport:
+    """Describe inputs with [pgd] that were found fit."""
     n_nodes = rectangle.along_x.n_nodes * rectangle.along_y.n_nodes
     n_cells = (rectangle.along_x.n_nodes - 1) * (rectangle.along_y.n_nodes - 1)
     of_x, of_y = (line.count_pixels() for line in (rectangle.along_x, rectangle.along_y))

@@ -8,21 +8,15 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
 from ddic import __version__
-from ddic.cli.failed_start import failures_as_lines, output_as_line
-from ddic.cli.surroundings import (
-    imports_kept,
-    prepare_idle_threads,
-    require_address_space,
-    require_clock,
-    require_working_folder,
-)
+from ddic.cli.entry import require_surroundings
+from ddic.cli.failures import failures_as_lines, output_as_line
 from ddic.errors import InputError
 
 
@@ -47,22 +41,6 @@ def _check(_: click.Context, parameter: click.Parameter, value: Any) -> Any:
     return value
 
 
-@contextmanager
-def usage_as_line() -> Iterator[None]:
-    """Have words that a command does not take refused like other input, in place of click's four lines on each rank.
-
-    Raises InputError where the block raises what click says of the words.
-    """
-    try:
-        yield
-    except click.exceptions.NoArgsIsHelpError:
-        raise
-    except click.UsageError as error:
-        said = " ".join(error.format_message().split()).rstrip(".")
-        command = "ddic" if error.ctx is None else error.ctx.command_path
-        raise InputError(f"{command}: {said}; see {command} --help") from error
-
-
 COMMANDS = {
     "run": "Measure the displacement between two images.",
     "check": "Validate all inputs of a case file without solving.",
@@ -79,20 +57,33 @@ COMMANDS = {
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
-HOMES = {"export": "probe", "opening": "crack"}
-"""Modules of commands that stand in another one's."""
+HOMES = {"calibrate": "calibrate:calibrate_near", "export": "probe:export", "opening": "crack:opening",
+         "report": "info:report", "sweep": "studies:sweep", "uncertainty": "studies:uncertainty"}
+"""Module and function of the commands whose name is not that of both."""
 
 CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)
 """What click ends a program with by itself."""
 
 
-def find_home(name: str) -> str:
-    """Find the module of a command, with dots."""
-    return f"ddic.cli.{HOMES.get(name, name)}"
+@contextmanager
+def _refusals_as_lines() -> Iterator[None]:
+    """End all ranks with a line where the block fails, also for words that a command does not take.
+
+    Of these click would tell in four lines on each rank.
+    """
+    with failures_as_lines(passed=CLICKS_OWN):
+        try:
+            yield
+        except click.exceptions.NoArgsIsHelpError:
+            raise
+        except click.UsageError as error:
+            said = " ".join(error.format_message().split()).rstrip(".")
+            command = "ddic" if error.ctx is None else error.ctx.command_path
+            raise InputError(f"{command}: {said}; see {command} --help") from error
 
 
 class LazyGroup(click.Group):
-    """Commands live in ``ddic.cli.NAME``, or where ``HOMES`` says; listing them imports none."""
+    """Commands live in ``ddic.cli.NAME``, or where ``HOMES`` says: a module is imported when its command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """List the names of the commands in the order of a first session."""
@@ -102,8 +93,8 @@ class LazyGroup(click.Group):
         """Import a command; None where there is no such command."""
         if cmd_name not in COMMANDS:
             return None
-        with imports_kept():
-            command: click.Command = getattr(importlib.import_module(find_home(cmd_name)), cmd_name)
+        module, _, function = HOMES.get(cmd_name, f"{cmd_name}:{cmd_name}").partition(":")
+        command: click.Command = getattr(importlib.import_module(f"ddic.cli.{module}"), function)
         require_finite_options(command)
         return command
 
@@ -113,18 +104,15 @@ class LazyGroup(click.Group):
             return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the command; what it lets pass ends all ranks, in one line where the command could not be imported."""
-        with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
-            require_address_space()
-            require_clock()
-            require_working_folder()
-            prepare_idle_threads()
+        """Run the command."""
+        with _refusals_as_lines():
+            require_surroundings()
             return super().invoke(ctx)
 
     def make_context(self, info_name: str | None, args: list[str], parent: click.Context | None = None,
                      **extra: Any) -> click.Context:
         """Read the words before a command's name; ``parent`` is None for the program itself."""
-        with failures_as_lines(passed=CLICKS_OWN), usage_as_line():
+        with _refusals_as_lines():
             return super().make_context(info_name, args, parent, **extra)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -133,17 +121,12 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.command(cls=LazyGroup)
+@click.command("ddic", cls=LazyGroup)
 @click.version_option(__version__, prog_name="ddic")
-def main() -> None:
+def command_line() -> None:
     """Finite element digital image correlation by dual domain decomposition over MPI."""
 
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-def add_frame_option(command: Command) -> Command:
-    """Add the option --frame to a command, which has a parameter ``frame`` (int or None)."""
-    add = click.option("--frame", type=click.IntRange(1), default=None, metavar="N",
-                       help="Frame of a series that is taken, by its number.")
-    return add(command)
+frame_option = click.option("--frame", type=click.IntRange(1), default=None, metavar="N",
+                            help="Frame of a series that is taken, by its number.")
+"""Of a command that has a parameter ``frame`` (int or None)."""

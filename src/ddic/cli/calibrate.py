@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
 
 if TYPE_CHECKING:
     from ddic.calibration.camera_models import Kind
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Lines = list[tuple[str, str]]
 
 
-@click.command()
+@click.command("calibrate")
 @click.argument("far", metavar="FAR", type=click.Path(path_type=Path))
 @click.argument("near", metavar="NEAR", type=click.Path(path_type=Path))
 @click.option("--ratio", type=float, required=True, help="Near px per far px, right within 15 %.")
@@ -26,25 +26,25 @@ Lines = list[tuple[str, str]]
 @click.option("--distortion", is_flag=True, help="Also solve for the near camera's radial distortion k1.")
 @click.option("--output", type=click.Path(dir_okay=False, path_type=Path), default=None,
               help="Mapping file for near.mapping_file of a case.")
-def calibrate(far: Path, near: Path, ratio: float, model: Kind, distortion: bool, output: Path | None) -> None:
+def calibrate_near(far: Path, near: Path, ratio: float, model: Kind, distortion: bool, output: Path | None) -> None:
     """Find the mapping from the far to the near reference image of one specimen, and its uncertainty.
 
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
-    from ddic.calibration import near as near_calibration
+    from ddic.calibration.near import calibrate_near_camera
     from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import hold_image
 
-    with errors_as_lines(output):
+    with failures_as_lines(output):
         if output is not None:
             require_own_output(output, MAPPING, (far, near))
         with warnings_as_lines():
             images = [hold_image(path) for path in (far, near)]
             for image in images:
                 check_finite(image)
-            found = near_calibration.calibrate(images[0], images[1], ratio, model, distortion)
+            found = calibrate_near_camera(images[0], images[1], ratio, model, distortion)
         if output is not None:
             _write(output, found)
     for name, value in _lines(found):

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failed_start import take_closed_pipes_as_errors
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.failures import failures_as_lines, take_closed_pipes_as_errors, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,17 +31,16 @@ def check(case_file: Path, drawing: Path | None) -> None:
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.check.case import check_case_file
-    from ddic.check.output import list_inputs
 
     take_closed_pipes_as_errors()
-    with errors_as_lines(drawing), warnings_as_lines():
+    with failures_as_lines(drawing), warnings_as_lines():
         if drawing is not None:
             _check_drawing(drawing)
             require_own_output(drawing, PICTURE, (case_file,))
         report = check_case_file(case_file)
         if drawing is not None:
             loaded = load_case(case_file)
-            require_own_output(drawing, PICTURE, list_inputs(loaded))
+            require_own_output(drawing, PICTURE, loaded.list_inputs())
             _draw(loaded.case, drawing)
     for name, value in _lines(report):
         click.echo(f"{name:<20}{value}")

@@ -1,7 +1,4 @@
-"""What a run prints: a progress bar on a terminal, plain lines in a batch log.
-
-How much of a run is done, as far as can be told while it goes on.
-"""
+"""What a run prints: plain lines in a batch log, beside a bar on a terminal."""
 
 from __future__ import annotations
 
@@ -11,20 +8,9 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Self
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    Task,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-)
-from rich.text import Text
+import click
 
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.weighted_problem import ProblemSize
@@ -33,63 +19,8 @@ from ddic.results.summary import Summary
 from ddic.solvers.gauss_newton import IterationRecord
 
 if TYPE_CHECKING:
+    from ddic.cli.progress_bar import ProgressBar
     from ddic.separated.corrections import CorrectionRecord
-
-
-WEIGHTS = {
-    Phase.MESH: 3, Phase.START: 15, Phase.READ: 10, Phase.ASSEMBLE: 12, Phase.INDEPENDENT_START: 8,
-    Phase.FACTORIZE: 12, Phase.INTERFACE_SET_UP: 10, Phase.RESIDUAL: 10, Phase.LINEAR_STEP: 10, Phase.FINISH: 3,
-    Phase.WRITE: 7,
-}
-"""What each phase takes of a run, per cent, both of those that iterations repeat together: a guess from runs on 1 to
-29 megapixels by the dual method. Where it is wrong, the time left is too, less and less as the run goes on."""
-
-OF_ITERATION = 0.5
-"""What one iteration of Gauss-Newton does of those that are left: it takes three to five as a rule."""
-
-OF_CORRECTION = 0.1
-"""The same of PGD-DIC's corrections, of which there are some ten or twenty."""
-
-
-class RunShare:
-    """Adds up what is done; it never goes back, although a run enters phases again.
-
-    Attributes
-    ----------
-    done : float
-        Share of the run, from 0 to 1.
-    """
-
-    def __init__(self) -> None:
-        self.done = 0.0
-        self._phase = Phase.MESH
-        self._left_of_iterations = 1.0
-
-    def begin(self, phase: Phase) -> None:
-        """Take note of a phase that begins."""
-        self._phase = phase
-        if phase not in REPEATED:
-            self.set_share(0.0)
-
-    def set_share(self, share: float) -> None:
-        """Take note of how far the phase at hand is, from 0 to 1."""
-        if self._phase not in REPEATED:
-            self._reach(_sum_before(self._phase) + share * WEIGHTS[self._phase])
-
-    def add_iteration(self, share: float) -> None:
-        """Take note of an iteration that has ended; ``share`` is what it did of those that were left."""
-        self._left_of_iterations *= 1.0 - share
-        weight = sum(WEIGHTS[phase] for phase in REPEATED)
-        self._reach(_sum_before(REPEATED[0]) + weight * (1.0 - self._left_of_iterations))
-
-    def _reach(self, per_cent: float) -> None:
-        self.done = max(self.done, per_cent / sum(WEIGHTS.values()))
-
-
-def _sum_before(phase: Phase) -> float:
-    """What phases before one take, per cent."""
-    phases = list(Phase)
-    return float(sum(WEIGHTS[earlier] for earlier in phases[:phases.index(phase)]))
 
 
 _COLUMNS = {"iter": 4, "|dq|/|q|": 8, "RMS dq/px": 9, "max dq/px": 9, "residual": 8, "% range": 7, "Krylov": 6,
@@ -105,42 +36,18 @@ _CORRECTION_COLUMNS = {"number": 6, "du_x/px": 8, "du_y/px": 8, "of u_x": 8, "of
 _OF_CAMERA = 9
 """Characters of a camera's residual, with the blank after it."""
 
-NOTICEABLE = 0.05
-"""Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
-
-LEAST_SHARE = 0.1
-"""Share of a run before which nothing is said of the time left. A larger value guesses later and better."""
-
-LONG = 1.0
-"""Seconds of a phase after which the lines of those before it are printed. A larger value adds up more and prints
-later."""
-
-
-class _Lines(Console):
-    """What is printed; a closed pipe fails like a full disk, where Rich would end the program."""
-
-    def on_broken_pipe(self) -> None:
-        """Raise the error that Rich has caught."""
-        raise  # noqa: PLE0704
-
-
-class _Bar(Protocol):
-    """What shows the phases."""
-
-    def phase(self, phase: Phase) -> None: ...
-    def set_share(self, share: float) -> None: ...
-    def add_iteration(self, share: float) -> None: ...
-    def settle(self) -> None: ...
-    def stop(self) -> None: ...
-
 
 class RunConsole:
     """Rank 0's listener; use it in a ``with`` statement."""
 
     def __init__(self) -> None:
-        self._console = _Lines(highlight=False, soft_wrap=True)
-        terminal = is_on_terminal()
-        self._bar: _Bar = _ProgressBar(self._console) if terminal else _PhaseLines(self._console)
+        self._shown: ProgressBar | _PhaseLines = _PhaseLines()
+        if is_on_terminal():
+            # Here, for a batch log does without Rich.
+            from ddic.cli.progress_bar import ProgressBar
+
+            self._shown = ProgressBar()
+        self._print = self._shown.show_line
         self._range = 1.0
         self._seconds: dict[Phase, float] = {}
 
@@ -149,15 +56,15 @@ class RunConsole:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        self._bar.stop()
+        self._shown.stop()
 
     def phase(self, phase: Phase) -> None:
         """Show the phase that begins."""
-        self._bar.phase(phase)
+        self._shown.begin(phase)
 
     def progress(self, share: float) -> None:
         """Show how far the phase at hand is, from 0 to 1."""
-        self._bar.set_share(share)
+        self._shown.set_share(share)
 
     def note(self, line: str) -> None:
         """Print a line, given without its end."""
@@ -165,20 +72,12 @@ class RunConsole:
 
     def frame(self, number: int, n_frames: int, image: str) -> None:
         """Print which frame of a series begins, numbered from 1, and the name of its image file."""
-        self._bar.settle()
+        self._shown.show_phases()
         self._print(f"frame {number} of {n_frames}: {image}")
-
-    def _finish_series(self, summary: SeriesSummary) -> None:
-        n_measured = len(summary.frames) - len(summary.failures)
-        self._print(f"{n_measured} of {summary.n_frames} frames measured in {summary.seconds:.1f} s"
-                    + (f", {summary.n_resumed} of them by an earlier run" if summary.n_resumed else ""))
-        for frame in summary.failures:
-            self._print(frame.describe())
-        self._print(f"result: {summary.result_file}")
 
     def problem_size(self, size: ProblemSize) -> None:
         """Print the sizes of what is about to be solved."""
-        self._bar.settle()
+        self._shown.show_phases()
         self._range = size.dynamic_range or 1.0
         weight = f", eta = {size.eta:.4g}" if size.eta else ""
         self._print(f"{size.n_unknowns} unknowns, {size.n_cells} elements, {size.n_pixels} pixels; "
@@ -189,10 +88,8 @@ class RunConsole:
 
     def iteration(self, record: IterationRecord) -> None:
         """Print a line of the iteration table; the residual is that before the correction."""
-        self._bar.add_iteration(OF_ITERATION)
+        self._shown.add_iteration(is_correction=False)
         widths = _COLUMNS | {"residual": max(_COLUMNS["residual"], _OF_CAMERA * len(record.cameras) - 1)}
-        if record.number == 1:
-            self._print(_align(list(widths), widths))
         spent = {phase: record.seconds[phase] - self._seconds.get(phase, 0.0) for phase in REPEATED}
         self._seconds = record.seconds
         cells = (f"{record.number}", f"{record.size.relative:.2e}", f"{record.size.rms:.2e}",
@@ -202,25 +99,36 @@ class RunConsole:
                  f"{record.krylov_iterations}",
                  f"{record.linear_error:.1e}", f"{spent[Phase.RESIDUAL]:.2f}",
                  f"{spent[Phase.LINEAR_STEP]:.2f}")
-        self._print(_align(cells, widths))
+        self._print_row(record.number, cells, widths)
 
     def correction(self, record: CorrectionRecord) -> None:
         """Print a line of the table of corrections, below its head; the residual is that before the correction."""
-        self._bar.add_iteration(OF_CORRECTION)
-        if record.number == 1:
-            self._print(_align(list(_CORRECTION_COLUMNS), _CORRECTION_COLUMNS))
+        self._shown.add_iteration(is_correction=True)
         cells = (f"{record.number}", f"{record.rms[0]:.2e}", f"{record.rms[1]:.2e}", f"{record.fluctuation[0]:.2e}",
                  f"{record.fluctuation[1]:.2e}", f"{record.gain:.2e}", f"{record.noise_gain:.2e}",
                  f"{record.grey.residual_std:.3f}", f"{record.n_sweeps}", f"{record.n_modes}")
-        self._print(_align(cells, _CORRECTION_COLUMNS))
+        self._print_row(record.number, cells, _CORRECTION_COLUMNS)
+
+    def _print_row(self, number: int, cells: Sequence[str], widths: Mapping[str, int]) -> None:
+        """Print a row of a table, flush right, below the names of its columns where it is the first."""
+        for row in ([*widths], cells) if number == 1 else (cells,):
+            self._print("  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths.values(), strict=True)))
 
     def finish(self, summary: Summary | SeriesSummary) -> None:
         """Print what was found."""
-        self._bar.stop()
+        self._shown.stop()
         if isinstance(summary, SeriesSummary):
             self._finish_series(summary)
         else:
             self._finish_pair(summary)
+
+    def _finish_series(self, summary: SeriesSummary) -> None:
+        n_measured = len(summary.frames) - len(summary.failures)
+        self._print(f"{n_measured} of {summary.n_frames} frames measured in {summary.seconds:.1f} s"
+                    + (f", {summary.n_resumed} of them by an earlier run" if summary.n_resumed else ""))
+        for frame in summary.failures:
+            self._print(frame.describe())
+        self._print(f"result: {summary.result_file}")
 
     def _finish_pair(self, summary: Summary) -> None:
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in summary.seconds.items())
@@ -249,16 +157,6 @@ class RunConsole:
         self._print(f"peak memory by rank [MiB]: {memory}")
         self._print(f"result: {summary.result_file}")
 
-    def _print(self, line: str) -> None:
-        """Print a line as it is, at once."""
-        self._console.print(line, markup=False)
-        sys.stdout.flush()
-
-
-def _align(cells: Sequence[str], widths: Mapping[str, int]) -> str:
-    """A row of a table, flush right; widths: by name of the column."""
-    return "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths.values(), strict=True))
-
 
 def _describe_noise_floor(summary: Summary) -> str:
     """What noise leaves, beside the correction at which the iteration stopped."""
@@ -272,50 +170,12 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def _describe_seconds(seconds: float) -> str:
-    """A time to wait, in words."""
-    if seconds < 60:
-        return f"{math.ceil(seconds)} s"
-    if seconds < 3600:
-        return f"{math.ceil(seconds / 60)} min"
-    return f"{seconds / 3600:.1f} h"
+NOTICEABLE = 0.05
+"""Seconds below which a batch log does not mention a phase. A larger value prints fewer lines."""
 
-
-class _ProgressBar:
-    def __init__(self, console: Console) -> None:
-        self._progress = Progress(SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
-                                  _TimeLeft(), console=console, transient=True)
-        self._share = RunShare()
-        self._task: TaskID = self._progress.add_task("start", total=1.0)
-        self._progress.start()
-
-    def phase(self, phase: Phase) -> None:
-        self._share.begin(phase)
-        self._progress.update(self._task, description=phase, completed=self._share.done)
-
-    def set_share(self, share: float) -> None:
-        self._share.set_share(share)
-        self._progress.update(self._task, completed=self._share.done)
-
-    def add_iteration(self, share: float) -> None:
-        self._share.add_iteration(share)
-        self._progress.update(self._task, completed=self._share.done)
-
-    def settle(self) -> None:
-        pass
-
-    def stop(self) -> None:
-        self._progress.stop()
-
-
-class _TimeLeft(ProgressColumn):
-    """What a run takes yet if it goes on as before."""
-
-    def render(self, task: Task) -> Text:
-        done, elapsed = float(task.completed), task.elapsed or 0.0
-        if done < LEAST_SHARE:
-            return Text("")
-        return Text(f"about {_describe_seconds(elapsed * (1.0 - done) / done)} left")
+LONG = 1.0
+"""Seconds of a phase after which the lines of those before it are printed. A larger value adds up more and prints
+later."""
 
 
 class _PhaseLines:
@@ -325,13 +185,15 @@ class _PhaseLines:
     taken long, at the latest before the iteration table.
     """
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
+    def __init__(self) -> None:
         self._phase: Phase | None = None
         self._began = 0.0
         self._unprinted: dict[Phase, float] = {}
 
-    def phase(self, phase: Phase) -> None:
+    def show_line(self, line: str) -> None:
+        click.echo(line)
+
+    def begin(self, phase: Phase) -> None:
         self._close()
         self._phase = phase
         self._began = time.perf_counter()
@@ -339,10 +201,10 @@ class _PhaseLines:
     def set_share(self, share: float) -> None:
         pass
 
-    def add_iteration(self, share: float) -> None:
+    def add_iteration(self, *, is_correction: bool) -> None:
         pass
 
-    def settle(self) -> None:
+    def show_phases(self) -> None:
         # So that no line of a phase before lands in the iteration table.
         self.stop()
 
@@ -364,7 +226,7 @@ class _PhaseLines:
     def _print_all_but(self, kept: Phase | None) -> None:
         for phase, seconds in list(self._unprinted.items()):
             if phase != kept and seconds >= NOTICEABLE:
-                self._console.print(f"{phase}: {seconds:.2f} s", markup=False)
+                self.show_line(f"{phase}: {seconds:.2f} s")
                 del self._unprinted[phase]
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from ddic.cli.app import add_frame_option
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.app import frame_option
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
 
 if TYPE_CHECKING:
     from ddic.fracture.crack_tip import CrackTip
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
-@add_frame_option
+@frame_option
 @click.option("--line", type=int, default=1, show_default=True, help="Number of the discontinuity in the case.")
 @click.option("--tip", type=float, nargs=2, default=None, help="Where the tip may be, px; by default the line's end.")
 @click.option("--inner", type=float, default=None, help="Radius about the tip within which nothing counts, px.")
@@ -38,7 +38,7 @@ def crack(file: Path, frame: int | None, line: int, tip: tuple[float, float] | N
     from ddic.fracture.crack_tip import Ring, find_crack_tip
     from ddic.io.series_reader import read_frame
 
-    with errors_as_lines():
+    with failures_as_lines():
         with warnings_as_lines():
             result = read_frame(file, frame)
         found = find_crack_tip(result, line, tip=tip, poisson_ratio=poisson_ratio, plane=plane,
@@ -71,7 +71,7 @@ def _lines(found: CrackTip, shear_modulus: float | None, pixel_size: float, unit
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
-@add_frame_option
+@frame_option
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="Table to write; by default RESULT.opening.csv beside it, RESULT.frame_N.opening.csv of a frame.")
 def opening(file: Path, frame: int | None, output: Path | None) -> None:
@@ -93,7 +93,7 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
 
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.opening.csv" if output is None else output
-    with errors_as_lines(target):
+    with failures_as_lines(target):
         require_own_output(target, OPENINGS, (file,))
         with warnings_as_lines():
             result = read_frame(file, frame)

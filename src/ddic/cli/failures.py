@@ -1,85 +1,158 @@
-"""How a job under MPI that fails says why, once, and ends on all ranks.
+"""How ddic fails: in lines, once, with an exit code, and with all ranks of its job.
 
-Errors, what PETSc raises and warnings become lines of the command line.
+From the outside in: standard output that cannot be written; whatever a command lets pass, before the ranks of a job
+know of one another; what all of them raise together, or one of them alone; warnings. Nothing here needs a package that
+may be missing.
 """
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
-import click
-
-from ddic.cli.failed_start import FULL
 from ddic.errors import DdicError, InputError, WriteError, is_collective, is_disk_failure
 from ddic.io.replace_on_exit import remove_unfinished
-from ddic.parallel.abort_all_ranks import INTERRUPTED, is_launcher
+from ddic.parallel.stop_request import INTERRUPTED, abort_all_ranks, find_rank, is_launcher
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE)
+"""Errors of writing; those about a file name it."""
+
 
 @contextmanager
-def errors_as_lines(target: Path | None = None) -> Iterator[None]:
-    """End the program where the block fails, with a line for each problem on standard error.
+def output_as_line() -> Iterator[None]:
+    """End the program with a line on standard error where standard output cannot be written.
 
-    ``target`` is the file or folder that the block writes to. Where there is none, an OSError that names no file is
-    raised.
+    Names of files that are no UTF-8 are printed with escapes. An OSError that the block raises for another reason
+    passes.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="backslashreplace")
+    try:
+        yield
+    except OSError as error:
+        if not _is_of_output(error):
+            raise
+        _end_at_output(error)
+    except SystemExit:
+        _require_written()
+        raise
+    _require_written()
+
+
+def _require_written() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        _end_at_output(error)
+
+
+def take_closed_pipes_as_errors() -> None:
+    """Have a line that nobody reads any more be an error like others; call it where PETSc has begun.
+
+    PETSc would end the process with ten lines.
+    """
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+
+
+def _is_of_output(error: BaseException) -> bool:
+    """Whether an error says that standard output could not be written; an error about a file names it."""
+    return isinstance(error, OSError) and error.filename is None and error.errno in FULL
+
+
+def _end_at_output(error: OSError) -> NoReturn:
+    # Else Python tries once more on its way out, and says so in lines of its own.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if error.errno != errno.EPIPE:
+        _say(f"standard output cannot be written ({error.strerror}); make room, or print elsewhere")
+    sys.exit(DdicError.exit_code)
+
+
+@contextmanager
+def failures_as_lines(target: Path | None = None, passed: tuple[type[BaseException], ...] = ()) -> Iterator[None]:
+    """End the program where the block fails, with all ranks of its job: their end would wait for one another.
+
+    ``target`` is the file or folder that the block writes to. Errors in ``passed``, and ``SystemExit``, are left to
+    somebody else. What is unexpected is raised where this is no rank of a job; so is what standard output does not
+    take.
     """
     try:
         yield
-    except DdicError as error:
-        click.echo(str(error), err=True)
-        sys.exit(error.exit_code)
-    except OSError as error:
-        if target is not None and _is_within(error.filename, target):
-            click.echo(f"{target}: cannot be written to ({error.strerror}); choose another --output", err=True)
-        elif error.filename is not None:
-            click.echo(f"{os.fsdecode(error.filename)}: cannot be read or written ({error.strerror}); check the path, "
-                       "its permissions and the space left", err=True)
-        else:
+    except SystemExit:
+        raise
+    except passed:
+        raise
+    except (Exception, KeyboardInterrupt) as error:
+        told = _describe_alone(error, target)
+        if told is None:
             raise
-        sys.exit(WriteError.exit_code if is_disk_failure(error) else InputError.exit_code)
+        line, code = told
+        if find_rank() is not None:
+            abort_all_ranks(line, code)
+        _say(line)
+        sys.exit(code)
 
 
-def _is_within(name: str | bytes | int | None, target: Path) -> bool:
-    """Whether what failed is the target, or a file in it or beside it; also where nothing tells what failed."""
-    if not isinstance(name, str | bytes):
-        return True
-    path, place = os.path.abspath(os.fsdecode(name)), os.path.abspath(target)
+def _describe_alone(error: BaseException, target: Path | None) -> tuple[str, int] | None:
+    """What a rank says that ends without asking the others, and the exit code; None where its trace says more."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted", INTERRUPTED
+    if isinstance(error, DdicError):
+        return str(error), error.exit_code
+    if isinstance(error, OSError) and (target is not None or error.filename is not None):
+        code = WriteError.exit_code if is_disk_failure(error) else InputError.exit_code
+        return _describe_file(error, target), code
+    said = _describe_unexpected(error)
+    rank = find_rank()
+    where = f"rank {rank}: " if rank else ""
+    return None if said is None else (f"{where}{said}", 1)
+
+
+_NO_CACHE = "no locator available for file"
+"""What numba says where it finds no folder for compiled kernels that it may write to."""
+
+
+def _describe_unexpected(error: BaseException) -> str | None:
+    """What keeps a program from starting, in a line, or where a rank of a job failed."""
+    said = " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return f"out of memory{f' ({said})' if said else ''}: see free -m, and ulimit -v"
+    if isinstance(error, ImportError):
+        return f"ddic could not start ({type(error).__name__}: {said})"
+    if _NO_CACHE in said:
+        return ("there is no folder in which compiled kernels can be kept; set NUMBA_CACHE_DIR to one that you may "
+                "write to")
+    if find_rank() is None or _is_of_output(error):
+        return None
+    return "".join(traceback.format_exception(error))
+
+
+def _describe_file(error: OSError, target: Path | None) -> str:
+    """Which file could not be read or written; the target too where nothing tells what failed."""
+    name = error.filename
+    if target is not None and (not isinstance(name, str | bytes) or _is_within(os.fsdecode(name), target)):
+        return f"{target}: cannot be written to ({error.strerror}); choose another --output"
+    return (f"{os.fsdecode(name)}: cannot be read or written ({error.strerror}); check the path, its permissions and "
+            "the space left")
+
+
+def _is_within(name: str, target: Path) -> bool:
+    """Whether a file is the target, or lies in it or beside it."""
+    path, place = os.path.abspath(name), os.path.abspath(target)
     return path.startswith(place) or os.path.dirname(path) == os.path.dirname(place)
-
-
-OF_OPTIONS = (56, 60, 62, 63, 65, 67, 83, 86, 92)
-"""PETSc's numbers of errors that a wrong option makes: not supported, wrong size, type, range or value, no such file or
-kind, no such package."""
-
-
-def is_petsc_error(error: BaseException) -> bool:
-    """Tell whether an error is PETSc's; False too where PETSc has not been imported."""
-    petsc = sys.modules.get("petsc4py.PETSc")
-    return petsc is not None and isinstance(error, petsc.Error)
-
-
-def describe_petsc_error(error: BaseException, options: Sequence[str]) -> tuple[str, int]:
-    """Say what PETSc refused and why, in a line, and whose fault it may be, as an exit code.
-
-    The code is that of a wrong input where ``options`` of PETSc were given on the command line and the error is one
-    that they make.
-    """
-    number = getattr(error, "ierr", None)
-    said = [re.sub(r"^\[\d+\] ", "", line).strip() for line in str(error).splitlines()]
-    reason = next((line for line in reversed(said) if line and " at " not in line), "no reason given")
-    if options and number in OF_OPTIONS:
-        return f"PETSc refuses its options {' '.join(options)}: {reason} (error {number})", InputError.exit_code
-    return f"PETSc failed: {reason} (error {number})", DdicError.exit_code
 
 
 def show_failure(team: Team, error: BaseException, petsc_options: Sequence[str] = ()) -> int:
@@ -89,13 +162,13 @@ def show_failure(team: Team, error: BaseException, petsc_options: Sequence[str] 
     was given.
     """
     everywhere = is_collective(error)
-    lines, code = _describe(error, petsc_options)
+    said, code = _describe_in_team(error, petsc_options)
     if team.is_root or not everywhere:
         where = "" if team.size == 1 or everywhere else f"rank {team.rank}: "
         with suppress(OSError):
             # It may be what failed.
             sys.stdout.flush()
-        click.echo("\n".join(f"{where}{line}" for line in lines), err=True)
+        _say("\n".join(f"{where}{line}" for line in said.splitlines()))
         sys.stderr.flush()
     if team.size > 1 and not everywhere:
         remove_unfinished()
@@ -113,21 +186,23 @@ def abort_quietly(team: Team, code: int) -> None:
         team.abort(code)
 
 
-def _describe(error: BaseException, petsc_options: Sequence[str]) -> tuple[list[str], int]:
-    """What is said of an error, and the exit code."""
+def _describe_in_team(error: BaseException, petsc_options: Sequence[str]) -> tuple[str, int]:
+    """What is said of an error where ranks know of one another, and the exit code."""
     if isinstance(error, DdicError):
-        return str(error).splitlines(), error.exit_code
+        return str(error), error.exit_code
     if isinstance(error, OSError):
         line = f"{_name_file(error)} could not be read or written: {error.strerror or error}"
         if is_disk_failure(error):
             line += "; nothing was left of it, and what was there before still is"
-        return [line], 1
-    if is_petsc_error(error):
-        said, code = describe_petsc_error(error, petsc_options)
-        return [said], code
+        return line, 1
     if isinstance(error, KeyboardInterrupt | SystemExit):
-        return ["interrupted; no result was written"], INTERRUPTED
-    return _trace(error).splitlines(), 1
+        return "interrupted; no result was written", INTERRUPTED
+    petsc = sys.modules.get("petsc4py.PETSc")
+    if petsc is not None and isinstance(error, petsc.Error):
+        return describe_petsc_error(error, petsc_options)
+    # Where it happened: on another rank, if that left a note, else here.
+    notes: list[str] = getattr(error, "__notes__", [])
+    return "\n".join(notes) or "".join(traceback.format_exception(error)), 1
 
 
 def _name_file(error: OSError) -> str:
@@ -140,10 +215,23 @@ def _name_file(error: OSError) -> str:
     return "standard output, or a file," if error.errno in FULL else "a file"
 
 
-def _trace(error: BaseException) -> str:
-    """Where an unexpected error happened: on its own rank, if that rank left a note, else here."""
-    notes: list[str] = getattr(error, "__notes__", [])
-    return "\n".join(notes) or "".join(traceback.format_exception(error))
+OF_OPTIONS = (56, 60, 62, 63, 65, 67, 83, 86, 92)
+"""PETSc's numbers of errors that a wrong option makes: not supported, wrong size, type, range or value, no such file or
+kind, no such package."""
+
+
+def describe_petsc_error(error: BaseException, options: Sequence[str]) -> tuple[str, int]:
+    """Say what PETSc refused and why, in a line, and whose fault it may be, as an exit code.
+
+    The code is that of a wrong input where ``options`` of PETSc were given on the command line and the error is one
+    that they make.
+    """
+    number = getattr(error, "ierr", None)
+    said = [re.sub(r"^\[\d+\] ", "", line).strip() for line in str(error).splitlines()]
+    reason = next((line for line in reversed(said) if line and " at " not in line), "no reason given")
+    if options and number in OF_OPTIONS:
+        return f"PETSc refuses its options {' '.join(options)}: {reason} (error {number})", InputError.exit_code
+    return f"PETSc failed: {reason} (error {number})", DdicError.exit_code
 
 
 @contextmanager
@@ -154,6 +242,9 @@ def warnings_as_lines() -> Iterator[None]:
         yield
     for warning in warned:
         # Others are libraries' own, on what they do and not on what was given to them.
-        if not issubclass(warning.category, UserWarning):
-            continue
-        click.echo(f"warning: {warning.message}", err=True)
+        if issubclass(warning.category, UserWarning):
+            _say(f"warning: {warning.message}")
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"{line}\n")

@@ -1,6 +1,6 @@
-"""``ddic info``: what a result file or an image holds.
+"""``ddic info``: what a result file or an image holds; of a series what all frames come to, and a table of them.
 
-What ``ddic info`` says of a series: of all frames, and a table of them.
+``ddic report``: one page on a measurement, to hand on.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ddic.cli.app import add_frame_option
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.app import frame_option
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,13 +29,13 @@ MOST_MODES = 10
 
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
-@add_frame_option
+@frame_option
 def info(file: Path, frame: int | None) -> None:
     """Describe a result file, or an image: size, type, range, saturation, gradient energy.
 
     Of a series: its frames, in a table, and what all have in common; one of them with --frame.
     """
-    with errors_as_lines(), warnings_as_lines():
+    with failures_as_lines(), warnings_as_lines():
         lines = _describe(file, frame)
     for line in lines:
         click.echo(line)
@@ -99,7 +99,7 @@ def _list_series_lines(series: SeriesResult) -> list[str]:
     """What all frames of a series come to, a table of them, and what the first of them holds."""
     said = ("result", "displacement x", "displacement y")
     of_first = [line for line in _result_lines(series[0]) if line[0] not in said]
-    return [*_format(describe_frames(series)), *list_frame_rows(series), f"of frame {series.numbers[0]}:",
+    return [*_format(_describe_frames(series)), *_list_frame_rows(series), f"of frame {series.numbers[0]}:",
             *_format(of_first)]
 
 
@@ -167,7 +167,7 @@ TEXTS = ("image", "started from")
 """Columns that begin where their heads begin; numbers end where theirs end."""
 
 
-def describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
+def _describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
     """Describe what all frames of a series, at least one, come to: names and values."""
     # Imported here because HDF5 is not needed by --help.
     from ddic.io.series_reader import find_displacement_range
@@ -185,7 +185,7 @@ def describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
     ]
 
 
-def list_frame_rows(series: SeriesResult) -> list[str]:
+def _list_frame_rows(series: SeriesResult) -> list[str]:
     """List the frames of a series as lines of a table: a head, and a line each.
 
     Where a frame was not measured, the reason stands in place of its numbers.
@@ -214,3 +214,29 @@ def _list_cells(record: Mapping[str, Any]) -> list[str]:
 def _format_number(value: float | None, form: str) -> str:
     """A number, or a dash where it is not known (null in the record)."""
     return "-" if value is None else format(value, form)
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@click.option("--image", type=click.Path(path_type=Path), default=None,
+              help="Reference image; by default the one named in the result, if it is still there.")
+@frame_option
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="Page to write; by default RESULT.report.html beside it.")
+def report(file: Path, image: Path | None, frame: int | None, output: Path | None) -> None:
+    """Write one self-contained HTML page on a result: fields, residual, convergence, what guides ask to be stated.
+
+    Of a series its last frame is taken where --frame names none.
+    """
+    # Imported here because matplotlib is not needed by --help.
+    from ddic.case.own_outputs import PAGE, require_own_output
+    from ddic.io.series_reader import read_frame_or_last
+    from ddic.report.page import write_report
+
+    target = file.parent / f"{file.stem}.report.html" if output is None else output
+    with failures_as_lines(target), warnings_as_lines():
+        require_own_output(target, PAGE, (file, image))
+        result, _ = read_frame_or_last(file, frame)
+        write_report(result, target, image)
+    click.echo(target)
+

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from ddic.cli.app import add_frame_option
-from ddic.cli.failures import errors_as_lines, warnings_as_lines
+from ddic.cli.app import frame_option
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
     from ddic.probes.probes import load_probes
     from ddic.probes.tables import measure_probes, write_probe_table
 
-    with errors_as_lines(table):
+    with failures_as_lines(table):
         if table is not None:
             require_own_output(table, PROBES, (*files, file))
         given = {"point": points, "line": lines, "gauge": gauges, "extensometer": extensometers}
@@ -122,7 +122,7 @@ def _write(value: float, how: str = "g") -> str:
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
-@add_frame_option
+@frame_option
 @click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT (and "
                    "its frame), beside it.")
@@ -135,7 +135,7 @@ def export(file: Path, frame: int | None, table: Path | None) -> None:
 
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table
-    with errors_as_lines(target):
+    with failures_as_lines(target):
         if not target.name:
             raise InputError("--csv: give the name of a table, results.csv for instance")
         for path, kind in zip(list_field_tables(target), (NODES, CELLS), strict=True):

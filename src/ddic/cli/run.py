@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from ddic.cli.failed_start import failures_as_lines, take_closed_pipes_as_errors
-from ddic.cli.failures import abort_quietly, show_failure
-from ddic.cli.surroundings import imports_kept, prepare_workspaces
+from ddic.cli.entry import imports_kept, prepare_workspaces
+from ddic.cli.failures import abort_quietly, show_failure, take_closed_pipes_as_errors
 from ddic.errors import ConvergenceError, InputError
 from ddic.io.input_file import is_readable_file
 from ddic.io.replace_on_exit import remove_unfinished
-from ddic.parallel.abort_all_ranks import INTERRUPTED, find_rank, prepare_abort
-from ddic.parallel.stop_request import StopRequest
+from ddic.parallel.stop_request import INTERRUPTED, StopRequest, find_rank, prepare_abort
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
@@ -57,7 +55,7 @@ def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...
     stop.before_end = remove_unfinished
     # Alone, Open MPI would start a daemon that needs files of megabytes, which a limit of file sizes forbids.
     os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
-    with failures_as_lines(), imports_kept():
+    with imports_kept():
         team = _start(petsc_options, stop)
     code = _run_everywhere(team, case_file, petsc_options, resume=resume)
     stop.is_over = True

@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 import click
 
 from ddic.errors import InputError, WriteError, is_disk_failure
-from ddic.io.image_header import MOST_PIXELS_ALONG
 
 if TYPE_CHECKING:
     from ddic.io.replace_on_exit import NewFiles
     from ddic.synth.fields import DisplacementField, Hole
-    from ddic.synth.near_far_scene import NearFarScene
     from ddic.synth.render import Picture
 
 
@@ -45,6 +43,8 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
 
     Raises BadParameter where it is no such text.
     """
+    from ddic.io.image_formats import MOST_PIXELS_ALONG
+
     if text is None:
         return None
     match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)
@@ -194,13 +194,17 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     """
     from ddic.synth.fields import Hole, Kirsch
     from ddic.synth.near_far_scene import (
+        FAR_FILES,
+        NEAR_FILES,
         NearCamera,
         SetUpMotion,
         build_near_far_scene,
         build_near_mapping,
         place_beside_hole,
+        write_near_far,
     )
     from ddic.synth.speckle import two_scale_texture
+    from ddic.synth.truth import describe_near_far
 
     far = _picture(image, size_far, noise_far)
     near = _picture(image, size_near, noise_near)
@@ -211,27 +215,20 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     mapping = build_near_mapping(ratio, focus, near, near_angle, tilt)
     camera = NearCamera(mapping, SetUpMotion(alpha, rotation, focus), near)
     texture = two_scale_texture(ratio, image["seed"], image["speckle_size"], fine_share)
-    _write(image, build_near_far_scene(texture, field, Hole(center, radius), far, camera))
+    scene = build_near_far_scene(texture, field, Hole(center, radius), far, camera)
+    folder = image["output"]
+    write_images(folder, [*FAR_FILES, *NEAR_FILES], describe_near_far(scene),
+                 lambda files: write_near_far(folder, scene, files))
 
 
-def _picture(image: ImageOptions, size: Size | None, noise: float | None) -> Picture:
-    """A camera's picture; size, noise: its own, or None for those of both cameras."""
+def _picture(image: ImageOptions, size: Size | None = None, noise: float | None = None) -> Picture:
+    """A camera's picture; one of two cameras may have a size and noise of its own."""
     from ddic.synth.render import Digitiser, Picture
 
     width, height = size or image["size"]
     level = image["noise"] if noise is None else noise
     digitiser = Digitiser(int(image["bit_depth"]), level, image["seed"])
     return Picture(width, height, digitiser)
-
-
-def _write(image: ImageOptions, scene: NearFarScene) -> None:
-    """Write the images and the truth."""
-    from ddic.synth.near_far_scene import FAR_FILES, NEAR_FILES, write_near_far
-    from ddic.synth.truth import describe_near_far
-
-    folder = image["output"]
-    write_images(folder, [*FAR_FILES, *NEAR_FILES], describe_near_far(scene),
-                 lambda files: write_near_far(folder, scene, files))
 
 
 _pair_options = add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
@@ -344,13 +341,11 @@ def _middle(image: ImageOptions) -> Pair:
 
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
     """Write the two images and the truth."""
-    from ddic.synth.render import Digitiser, Picture, Scene, write_pair
+    from ddic.synth.render import Scene, write_pair
     from ddic.synth.speckle import SpeckleTexture
     from ddic.synth.truth import describe_pair
 
-    width, height = image["size"]
-    digitiser = Digitiser(int(image["bit_depth"]), image["noise"], image["seed"])
-    picture = Picture(width, height, digitiser)
+    picture = _picture(image)
     texture = SpeckleTexture(image["seed"], image["speckle_size"])
     scene = Scene(texture, field, hole)
     folder = image["output"]

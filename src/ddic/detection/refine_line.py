@@ -1,4 +1,4 @@
-"""A line moved, turned and bent until its sides' pixels fit the images best [RHR08].
+"""A line moved, turned and bent until its sides' pixels fit the images best.
 
 The displacement on both sides of a line is evaluated at pixels beside it, and its residual says which side each pixel
 belongs to.

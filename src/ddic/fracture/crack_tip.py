@@ -118,9 +118,8 @@ class Ring:
     outer: float | None = None
 
 
-def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | None = None,
-                   poisson_ratio: float = 0.3, plane: Literal["stress", "strain"] = "stress",
-                   ring: Ring | None = None) -> CrackTip:
+def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | None = None, poisson_ratio: float = 0.3,
+                   plane: Literal["stress", "strain"] = "stress", ring: Ring | None = None) -> CrackTip:
     """Find the tip of a crack along its line, and its stress intensity factors, by a fit of Williams' series.
 
     The term that is more singular than any crack vanishes where the tip is; the tip is moved until it does.
@@ -162,10 +161,11 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
     if away > INNER_CELLS * fit.size:
         raise InputError(f"tip ({asked[0]:g}, {asked[1]:g}) px: lies {away:.0f} px beside the straight end of line "
                          f"{line}; give a place on it")
-    chosen = _accept_ring(ring or Ring())
+    chosen = ring or Ring()
+    _require_radii(chosen)
     for _ in range(MOST_MOVES):
         radii = _choose_radii(fit, chosen, position, float((position - start) @ along))
-        if fit.count_cells(position, radii) < FEWEST_CELLS:
+        if len(fit.find_cells(position, radii)) < FEWEST_CELLS:
             break
         opening, sliding = fit.solve(position, along, radii, np.arange(-1, HIGHEST_ORDER + 1))[0]
         # d/dx of r^(1/2) is half of r^(-1/2): a tip that is ahead by d adds -d/2 of the latter.
@@ -207,16 +207,12 @@ class _Fit:
         is_measured = np.isfinite(displacement).all(axis=1)
         return cls(mesh.centroids, displacement, is_measured, np.sqrt(areas), kappa, size)
 
-    def count_cells(self, position: Array, radii: tuple[float, float]) -> int:
-        """Number of cells in the ring about a tip."""
-        return len(self._find_cells(position, radii))
-
     def solve(self, position: Array, along: Array, radii: tuple[float, float],
               orders: NDArray[np.int64]) -> tuple[tuple[Array, Array], float, int]:
         """Coefficients of u of both modes, (n_orders,) each; what is left, pixels; and the number of cells."""
         axes = np.stack([along, [-along[1], along[0]]])
         local = (self.points - position) @ axes.T
-        inside = self._find_cells(position, radii)
+        inside = self.find_cells(position, radii)
         weights = self.weights[inside]
         terms = evaluate_williams_series(local[inside] / radii[1], orders, self.kappa)
         u = self.displacement[inside] @ axes.T
@@ -227,18 +223,16 @@ class _Fit:
         opening, sliding = scaled.reshape(2, -1) / radii[1] ** (orders / 2)
         return (opening, sliding), rms, len(inside)
 
-
-    def _find_cells(self, position: Array, radii: tuple[float, float]) -> NDArray[np.intp]:
+    def find_cells(self, position: Array, radii: tuple[float, float]) -> NDArray[np.intp]:
+        """Measured cells in the ring about a tip."""
         distance = np.linalg.norm(self.points - position, axis=1)
         return np.flatnonzero((distance >= radii[0]) & (distance <= radii[1]) & self.is_measured)
 
 
-def _accept_ring(ring: Ring) -> Ring:
-    """The ring, where its radii can be any."""
+def _require_radii(ring: Ring) -> None:
     for name, radius in (("inner", ring.inner), ("outer", ring.outer)):
         if radius is not None and not (np.isfinite(radius) and radius > 0):
             raise InputError(f"{name} = {radius:g} px: give a radius above 0")
-    return ring
 
 
 def _choose_radii(fit: _Fit, ring: Ring, position: Array, straight: float) -> tuple[float, float]:

@@ -5,7 +5,6 @@ The discontinuities that a result was measured with.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,20 +13,21 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
-from ddic.io.result_schema import CASE, DOUBTFUL, EXCLUDED, EXCLUDED_STATES
+from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, parse_case
 from ddic.mesh.interpolation import locate
 
+Array = NDArray[np.float64]
 
-def get_lines(result: Result) -> list[NDArray[np.float64]]:
+
+def get_lines(result: Result) -> list[Array]:
     """Get the vertices, (n_vertices, 2), pixels, of each discontinuity that a result was measured with.
 
     Lines that were found are given as they were found.
     """
-    case = json.loads(str(result.attributes.get(CASE, {}).get("json", "{}")))
-    return [np.array(section["vertices"]) for section in case.get("discontinuity", ())]
+    return [np.array(section["vertices"]) for section in parse_case(result.attributes).get("discontinuity", ())]
 
 
-def get_line(result: Result, number: int) -> NDArray[np.float64]:
+def get_line(result: Result, number: int) -> Array:
     """Get the vertices, pixels, of one of the discontinuities that a result was measured with, numbered from 1.
 
     Raises InputError where there is no such line.
@@ -40,8 +40,6 @@ def get_line(result: Result, number: int) -> NDArray[np.float64]:
         raise InputError(f"{result.path}: line {number}: there are {len(lines)}; give a number from 1 to {len(lines)}")
     return lines[number - 1]
 
-
-Array = NDArray[np.float64]
 
 BESIDE = 0.02
 """Pixels from the line at which its sides are looked up: beyond what keeps a line clear of nodes, and rounding."""

@@ -1,12 +1,12 @@
-"""Grey-level conservation f(x) = g(x + u(x)) on one subdomain: M, b and the residual, Eq. 5 of [BP17].
+"""Grey-level conservation f(x) = g(x + u(x)) on one subdomain: M, b (Eq. 7 of [BP17]) and the residual.
 
 From meshes and a reference image to subdomains with their pixels. Images are as the pixel kernels take them: flat
 arrays, the same types whether or not anything is excluded. Cells may be torn apart by a displacement, as one node that
 is held by nothing does to those around it.
 
-The gradient of the deformed image where the displacement puts a pixel is F^-T grad f, F = I + grad u. Gauss-Newton
-takes grad f for it, which is enough where little turns or stretches. By 10 % it converges slower, by a rotation of 60
-degrees not at all.
+The gradient of the deformed image where the displacement puts a pixel, in Eq. 4 of [BP17], is F^-T grad f, F = I + grad
+u. Gauss-Newton takes grad f for it, which is enough where little turns or stretches. By 10 % it converges slower, by
+a rotation of 60 degrees not at all.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ LEAST_AREA, LARGEST_STRETCH = 0.2, 3.0
 def compute_inverse_deformations(mesh: Mesh, u: Array) -> Array:
     """Compute F^-1 at the centre of every cell, (n_cells, dim, dim), no unit.
 
-    It is the identity where a cell is folded, or stretched more than can be believed. The mesh is in the image's
-    pixels, as the nodal displacement ``u``, (n_dofs,).
+    By it grad g of Eq. 4 of [BP17] is F^-T grad f. It is the identity where a cell is folded, or stretched more than
+    can be believed. The mesh is in the image's pixels, as the nodal displacement ``u``, (n_dofs,).
     """
     identity = np.eye(mesh.dim)
     deformation = identity + compute_displacement_gradients(mesh, u)
@@ -282,6 +282,11 @@ class Correlation:
         """Confine passes over the pixels to some cells, (n_cells,)."""
         return replace(self, order=self.order[cells[self.order]])
 
+    def count_pixels(self) -> NDArray[np.int64]:
+        """Count the pixels of each cell that the reference image does not exclude, (n_cells,)."""
+        window, usable = self.reference.window, self.reference.usable
+        return self.raster.pixel_counts if usable is None else self.raster.sum_by_cell(usable, window.x0, window.y0)
+
     @property
     def n_usable_pixels(self) -> int:
         """Number of pixels that the reference image does not exclude."""
@@ -316,7 +321,7 @@ class Correlation:
     def compute_cell_hessians(self) -> NDArray[np.float64]:
         """Sum N^T grad f grad f^T N over the pixels of every cell, grad f moved where it is asked for.
 
-        M_e is (n_cells, 8, 8), node-major, grey levels squared per pixel squared; Eq. 5 of [BP17].
+        M_e is (n_cells, 8, 8), node-major, grey levels squared per pixel squared; Eq. 7 of [BP17].
         """
         shapes = kernels.Shapes(self.interpolation.shapes, self.interpolation.kinds)
         reference = self._reference_pixels
@@ -333,7 +338,7 @@ class Correlation:
     def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
         """Assemble M = sum_px N^T grad f grad f^T N over the usable pixels of some cells, by default of all.
 
-        M is (n_dofs, n_dofs), grey levels squared per pixel squared; Eq. 5 of [BP17].
+        M is (n_dofs, n_dofs), grey levels squared per pixel squared; Eq. 7 of [BP17].
         """
         if cells is None:
             return self.interpolation.assemble_matrix(self.compute_cell_hessians())
@@ -364,7 +369,7 @@ class Correlation:
                                  offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
         """Assemble b = sum_px N^T grad f (f - gain g(x + u) - offset), (n_dofs,), grey levels squared per pixel.
 
-        Eq. 5 of [BP17]. The residual has all kinds of moments where gain is not 1 or offset not 0.
+        Eq. 7 of [BP17]. The residual has all kinds of moments where gain is not 1 or offset not 0.
         """
         return self.interpolation.assemble_vector(self._correct_moments(residual, gain, offset))
 

@@ -15,11 +15,16 @@ GreyCorrection = Literal["none", "global", "element"]
 """Whose gain a and offset b in f = a g + b are fitted: nobody's, each camera's, each cell's."""
 
 FLAT = 1e-12
-"""Variance of g relative to its mean square, no unit, up to which g is flat: rounding of float64 sums leaves some
-1e-15. Where it is larger, more regions get no gain."""
+"""Variance of grey levels relative to their mean square, no unit, up to which they are flat: rounding of float64 sums
+leaves some 1e-15. Where it is larger, more regions get no gain."""
 
 _TINY = 1e-300
 """A mean square, grey levels squared, below any that is not 0."""
+
+
+def find_flat(variance: NDArray[np.float64], mean_square: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Find where grey levels are all alike, (...,): what is left of their variance is rounding."""
+    return np.asarray(variance <= FLAT * np.maximum(mean_square, _TINY))
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class GreySums:
         n, r, g, _, gg, rg = np.moveaxis(self.values, -1, 0)
         n = np.maximum(n, 1.0)
         variance = gg / n - (g / n) ** 2
-        textured = variance > FLAT * np.maximum(gg / n, _TINY)
+        textured = ~find_flat(variance, gg / n)
         covariance = rg / n - r * g / n**2
         # Of f - g = (a - 1) g + b: the difference loses no digits where a is nearly 1.
         excess = np.where(textured, covariance / np.where(textured, variance, 1.0), 0.0)
@@ -67,6 +72,14 @@ class GreySums:
         first = r - e * g - b * n
         second = rr + e**2 * gg + b**2 * n - 2 * e * rg - 2 * b * r + 2 * e * b * g
         return first, np.maximum(second, 0.0)
+
+
+def measure_deviation(n_pixels: float, first: NDArray[np.float64], second: NDArray[np.float64]) -> tuple[float, float]:
+    """Measure the standard deviation and the root mean square of grey levels from their sum and that of squares."""
+    mean, mean_square = float(first) / n_pixels, float(second) / n_pixels
+    # Rounding may leave a variance of nothing below zero.
+    variance = max(mean_square - mean**2, 0.0)
+    return float(np.sqrt(variance)), float(np.sqrt(mean_square))
 
 
 @dataclass(frozen=True)

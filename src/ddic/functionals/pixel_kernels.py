@@ -976,7 +976,7 @@ def _has_linear_shapes(shapes, e):
 
 @numba.njit(**FLAGS)
 def hessian_cells(cells, shapes, reference, out):
-    """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell, Eq. 5 of [BP17].
+    """Assemble M_e = sum_px N_a N_b grad f grad f^T of every cell, Eq. 7 of [BP17].
 
     Shape functions are polynomials, so that sums of grad f grad f^T xi^i eta^j, i, j <= 2, give all their products.
     ``out`` is (n_cells, 4, 2, 4, 2) by a, component, b, component; grey levels squared per pixel squared.

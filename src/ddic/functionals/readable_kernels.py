@@ -1,4 +1,4 @@
-"""What the pixel kernels compute, in plain loops over cells and their pixels: Eq. 5 of [BP17] as it is written.
+"""What the pixel kernels compute, in plain loops over cells and pixels: M and b, Eq. 7 of [BP17], as they are written.
 
 The functions take the same arguments as those of ``pixel_kernels`` and leave the same numbers, but for rounding, some
 ten thousand times more slowly. They are its explanation, and the oracle of its tests; no measurement calls them.
@@ -53,7 +53,7 @@ class Pixel:
 
 
 def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out: NDArray[np.float64]) -> None:
-    """Add M_e = sum_px N^T grad f grad f^T N of every cell, Eq. 5 of [BP17].
+    """Add M_e = sum_px N^T grad f grad f^T N of every cell, Eq. 7 of [BP17].
 
     ``out`` is (n_cells, 4, 2, 4, 2) by a, component, b, component; grey levels squared per pixel squared.
     """
@@ -71,7 +71,7 @@ def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: Re
                   deformed: DeformedPixels, all_kinds: bool, sums: CellSums) -> None:
     """Add every cell's moments sum_px r grad f phi of the residual r = f - g(x + u), and its grey sums.
 
-    b = sum_px N^T grad f r, Eq. 5 of [BP17], is a cell's first moment times its T. ``displacement`` holds D, (n_cells,
+    b = sum_px N^T grad f r, Eq. 7 of [BP17], is a cell's first moment times its T. ``displacement`` holds D, (n_cells,
     2, 4), pixels; ``deformed`` is a window of g that holds all x + u(x) that lie in the image. With ``all_kinds`` the
     moments of g and of 1 are added too, which a grey correction needs.
     """

@@ -105,7 +105,7 @@ def _weigh_all_products(n_nodes: int, dim: int, material: Material) -> NDArray[n
 
 
 def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:
-    """Assemble K of a mesh, which acts on displacements of its nodes: the K of Eq. (11) of [BP17].
+    """Assemble K of a mesh, which acts on displacements of its nodes: the K of Eq. 9 of [BP17].
 
     (n_dofs, n_dofs), symmetric; its null space is the rigid motions. Lengths are in pixels.
     """
@@ -129,7 +129,7 @@ _GAP_CHUNK_CELLS = 16_000
 
 def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: NDArray[np.float64],
                          rotation: NDArray[np.float64] | None = None) -> sparse.csr_matrix:
-    """Assemble Kbar = diag(row_weights) T^T K T, weight 0 dropping a row (P of Eq. 11 of [BP17]).
+    """Assemble diag(row_weights) T^T K T: Kbar = P K of Eq. 9 of [BP17], where P is among the weights.
 
     K acts on the nodes; T^T K T, (n_unknowns, n_unknowns), are the forces on the unknowns: those on tied nodes are then
     their masters', as much as these move them. ``rotation`` is R by which the specimen has turned: the stiffness is
@@ -194,8 +194,8 @@ def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) 
     """Choose the weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
 
     The two phases of a wave are added up before the ratio, for one may vanish on all nodes; the mean is over a and b.
-    eta is in grey levels squared per square pixel, from ``measure_texture_energies`` and ``measure_gap_energies`` on
-    the same nodes.
+    eta is the weight of Eq. 10 of [BP17], in grey levels squared per square pixel, from ``measure_texture_energies``
+    and ``measure_gap_energies`` on the same nodes.
     """
     n_phases = len(PHASES)
     texture_by_wave = np.abs(texture).reshape(-1, n_phases).sum(axis=1)

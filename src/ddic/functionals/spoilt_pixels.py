@@ -116,7 +116,7 @@ def cut_patches(view: FrameView, q: NDArray[np.float64], cells: NDArray[np.int64
     Gives the number of each cell, where its box lies in the image, and what is in it. ``q`` are the subdomain's
     unknowns; the cells, given by number, hold pixels; ``correction`` is gain and offset of g, no unit and grey levels.
     """
-    correlation = view.view.correlation
+    correlation = view.correlation
     boxes = [_find_own_pixels(correlation, cell) for cell in cells.tolist()]
     bands = [Band(cells[k:k + 1], box) for k, (box, _) in enumerate(boxes)]
     residuals = view.compute_residual_bands(q, bands) if bands else iter(())

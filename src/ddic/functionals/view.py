@@ -1,4 +1,4 @@
-"""What one camera says about a subdomain: Eq. 5 of [BP17] in the subdomain's unknowns.
+"""What one camera says about a subdomain: M and b, Eq. 7 of [BP17], in the subdomain's unknowns.
 
 How steep the reference image is in each cell.
 """
@@ -6,8 +6,9 @@ How steep the reference image is in each cell.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numba
 import numpy as np
@@ -118,10 +119,7 @@ class View:
 
     def count_pixels(self) -> NDArray[np.int64]:
         """Count the pixels of each cell that the reference image does not exclude, (n_cells,)."""
-        raster, reference = self.correlation.raster, self.correlation.reference
-        if reference.usable is None:
-            return raster.pixel_counts
-        return raster.sum_by_cell(reference.usable, reference.window.x0, reference.window.y0)
+        return self.correlation.count_pixels()
 
     def measure_slopes(self) -> CellSlopes:
         """Measure the mean of grad f grad f^T over the pixels of each cell that count."""
@@ -133,7 +131,7 @@ class View:
         return float(values.min()), float(values.max())
 
     def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
-        """Assemble M of this camera on displacements of nodes in its image, Eq. 5 of [BP17].
+        """Assemble M of this camera on displacements of nodes in its image, Eq. 7 of [BP17].
 
         Over the pixels of some cells, given by number, by default of all; grey levels squared per pixel squared.
         """
@@ -144,63 +142,63 @@ class View:
         projected = self.kinematics.project_matrix(hessian)
         return projected if self.weight == 1.0 else (self.weight * projected).tocsr()
 
-    def with_moved_gradient(self, q: NDArray[np.float64]) -> View:
+    def with_moved_gradient(self, q: NDArray[np.float64]) -> Self:
         """Take the gradient of the deformed image where unknowns put it, in M and in b."""
         return replace(self, correlation=self.correlation.with_moved_gradient(self.kinematics.displacement(q)))
 
-    def hold_still(self) -> View:
+    def confine(self, cells: NDArray[np.bool_]) -> Self:
+        """Confine passes over the pixels to some cells, (n_cells,)."""
+        return replace(self, correlation=self.correlation.confine(cells))
+
+    def hold_still(self) -> Self:
         """Give the same for a set-up that does not move, with weight 1: with the field's unknowns only."""
         return replace(self, kinematics=self.kinematics.hold_still(), weight=1.0)
 
+    def open_frame(self, deformed: DeformedSubImage) -> FrameView:
+        """Look at a frame, whose window is read when unknowns say where."""
+        return FrameView(self.correlation, self.kinematics, self.camera, self.group, self.weight, deformed=deformed,
+                         prepared=self.correlation)
+
 
 @dataclass(frozen=True)
-class FrameView:
-    """A camera's pixels of a subdomain in one frame.
+class FrameView(View):
+    """A camera's pixels of a subdomain in one frame: those that count of the reference image, and the deformed one.
 
     Of its methods, ``q`` are the subdomain's unknowns, (n_unknowns,), ``gain``, no unit, and ``offset``, grey levels,
     those of f = gain g + offset.
 
     Attributes
     ----------
-    view : View
-        The same in the reference image.
     deformed : DeformedSubImage
         Window of the deformed image.
+    prepared : Correlation
+        What the reference image alone gave, nothing excluded or blurred for the frame's sake.
     """
 
-    view: View
-    deformed: DeformedSubImage
-
-    @property
-    def camera(self) -> int:
-        """Number of the camera, 0 the first."""
-        return self.view.camera
-
-    def with_moved_gradient(self, q: NDArray[np.float64]) -> FrameView:
-        """Take the gradient of the deformed image where unknowns put it, in M and in b."""
-        return replace(self, view=self.view.with_moved_gradient(q))
+    deformed: DeformedSubImage = field(kw_only=True)
+    prepared: Correlation = field(kw_only=True)
 
     def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
         """Find the window of the deformed image that unknowns need."""
-        return self.view.correlation.find_displaced_window(self._displacement(q))
+        return self.correlation.find_displaced_window(self.kinematics.displacement(q))
 
     def compute_residual(self, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
         """Pass over all pixels once, for moments and sums of f - g(x + u).
 
         With ``all_kinds``, what a correction of grey levels needs is summed too.
         """
-        return self.view.correlation.compute_residual(self.deformed, self._displacement(q), all_kinds=all_kinds)
+        return self.correlation.compute_residual(self.deformed, self.kinematics.displacement(q), all_kinds=all_kinds)
 
     def assemble_right_hand_side(self, residual: Residual, gain: Correction = 1.0,
                                  offset: Correction = 0.0) -> NDArray[np.float64]:
-        """Assemble b of this camera in the subdomain's unknowns, w T^T b, Eq. 5 of [BP17].
+        """Assemble b of this camera in the subdomain's unknowns, w T^T b, Eq. 7 of [BP17].
 
         The camera's part of b_s, (n_unknowns,), grey levels squared per pixel, from the residual of
         ``compute_residual``.
         """
-        b = self.view.correlation.assemble_right_hand_side(residual, gain, offset)
-        projected = self.view.kinematics.project_vector(b)
-        return projected if self.view.weight == 1.0 else self.view.weight * projected
+        b = self.correlation.assemble_right_hand_side(residual, gain, offset)
+        projected = self.kinematics.project_vector(b)
+        return projected if self.weight == 1.0 else self.weight * projected
 
     def compute_residual_image(self, q: NDArray[np.float64], gain: Correction = 1.0,
                                offset: Correction = 0.0) -> NDArray[np.float32]:
@@ -208,7 +206,7 @@ class FrameView:
 
         On the reference window, (height, width), grey levels; nan on pixels that do not count.
         """
-        return self.view.correlation.compute_residual_image(self.deformed, self._displacement(q), gain, offset)
+        return self.correlation.compute_residual_image(self.deformed, self.kinematics.displacement(q), gain, offset)
 
     def compute_residual_bands(self, q: NDArray[np.float64], bands: Iterable[Band], gain: Correction = 1.0,
                                offset: Correction = 0.0) -> Iterator[NDArray[np.float32]]:
@@ -217,12 +215,10 @@ class FrameView:
         On the windows of the bands, which are those of the view's correlation; nan also on pixels that other bands
         have.
         """
-        return self.view.correlation.compute_residual_bands(self.deformed, self._displacement(q), bands, gain, offset)
+        displacement = self.kinematics.displacement(q)
+        return self.correlation.compute_residual_bands(self.deformed, displacement, bands, gain, offset)
 
-    def without_hidden(self, q: NDArray[np.float64]) -> View:
+    def without_hidden(self, q: NDArray[np.float64]) -> Self:
         """Leave out the pixels that unknowns hide: outside the deformed image, or on excluded pixels of it."""
-        correlation = self.view.correlation.without_hidden(self.deformed, self._displacement(q))
-        return replace(self.view, correlation=correlation)
-
-    def _displacement(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self.view.kinematics.displacement(q)
+        correlation = self.correlation.without_hidden(self.deformed, self.kinematics.displacement(q))
+        return replace(self, correlation=correlation)

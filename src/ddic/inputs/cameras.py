@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_cameras, list_deformed
+from ddic.case.named_files import list_cameras, list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.grey_levels import find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
-from ddic.io.image_file import open_decoded, open_image
+from ddic.io.image_file import open_decoded
 from ddic.io.mapping_file import read_mapping_file
 from ddic.kinematics.camera import CameraSetup, MotionKind, see_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.node import open_once_a_node
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.partition.split import assign_cameras
 from ddic.partition.ties import Tying
 
@@ -33,27 +33,10 @@ Frame = tuple[MaskedSource, ...]
 
 
 @dataclass(frozen=True)
-class FieldOfView:
-    """Which cells a near camera measures, of those that it sees whole.
-
-    Attributes
-    ----------
-    region : (x0, y0, x1, y1) or None
-        Cells outside are left to the first camera, specimen's frame; None where all are measured.
-    margin : float
-        Width of the image's edge that does not count, the camera's pixels.
-    has_own_mesh : bool
-        Whether the camera measures the cells of a mesh of its own, and no others.
-    """
-
-    region: tuple[float, float, float, float] | None
-    margin: float
-    has_own_mesh: bool
-
-
-@dataclass(frozen=True)
 class Camera:
     """A camera: its reference image, where it looks, and what the case says of it.
+
+    Which cells it measures is said of near cameras alone: the first one measures what is left.
 
     Attributes
     ----------
@@ -65,8 +48,12 @@ class Camera:
         Where it looks, and how its set-up may move.
     noise : float or None
         Standard deviation of a picture's noise, grey levels; None if it is to be estimated.
-    field_of_view : FieldOfView or None
-        Which cells it measures; None for the first camera, which measures what is left.
+    region : (x0, y0, x1, y1) or None
+        Cells outside are left to the first camera, specimen's frame; None where it measures all that it sees whole.
+    margin : float
+        Width of the image's edge that does not count, the camera's pixels.
+    has_own_mesh : bool
+        Whether it measures the cells of a mesh of its own, and no others.
     use_far : bool
         Whether the first camera measures its cells as well.
     """
@@ -75,7 +62,9 @@ class Camera:
     reference: MaskedSource
     setup: CameraSetup
     noise: float | None
-    field_of_view: FieldOfView | None = None
+    region: tuple[float, float, float, float] | None = None
+    margin: float = 0.0
+    has_own_mesh: bool = False
     use_far: bool = False
 
     @property
@@ -87,11 +76,6 @@ class Camera:
     def entry(self) -> str:
         """What messages about the case file call a near camera."""
         return f"near, entry {self.number}"
-
-
-def open_in_headers(path: Path) -> ImageSource:
-    """Open an image file by its header only; it is read window by window."""
-    return open_image(path)
 
 
 def open_on_all_ranks(team: Team) -> Opener:
@@ -108,16 +92,21 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
     Raises InputError where a file or a mapping cannot be read, or a mapping is none.
     """
     far = _open_reference(case.images, opener)
-    cameras = [Camera(0, far, make_setup(identity(), far, "none"), case.images.noise)]
+    cameras = [make_first_camera(far, case.images.noise)]
     for number, section in enumerate(case.near, start=1):
         reference = _open_reference(section, opener)
         try:
             setup = make_setup(_mapping(section, far.image, reference.image), reference, section.motion)
         except ValueError as error:
             raise InputError(f"near, entry {number}: {error}; check its mapping (ddic calibrate)") from error
-        field_of_view = FieldOfView(section.region, section.margin, section.mesh is not None)
-        cameras.append(Camera(number, reference, setup, section.noise, field_of_view, section.use_far))
+        cameras.append(Camera(number, reference, setup, section.noise, section.region, section.margin,
+                              has_own_mesh=section.mesh is not None, use_far=section.use_far))
     return tuple(cameras)
+
+
+def make_first_camera(reference: MaskedSource, noise: float | None) -> Camera:
+    """Make the camera whose pixels are the specimen's frame; ``noise`` is that of a picture, grey levels."""
+    return Camera(0, reference, make_setup(identity(), reference, "none"), noise)
 
 
 def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
@@ -147,12 +136,17 @@ def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKi
 
     ``mapping`` leads from the specimen's frame to the camera's pixels, ``motion`` is how the set-up may move.
     """
-    width, height = reference.image.width, reference.image.height
-    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+    corners = list_corners(reference.image)
     seen = mapping.to_specimen(corners)
     centre = mapping.to_specimen(corners.mean(axis=0, keepdims=True))[0]
     farthest = float(np.linalg.norm(seen - centre, axis=1).max())
     return CameraSetup(mapping, motion, centre, farthest)
+
+
+def list_corners(image: ImageSource) -> NDArray[np.float64]:
+    """List the centres of the pixels at an image's corners, (4, 2), around it."""
+    right, bottom = image.width - 1.0, image.height - 1.0
+    return np.array([[0.0, 0.0], [right, 0.0], [right, bottom], [0.0, bottom]])
 
 
 def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> CameraMapping:
@@ -164,10 +158,7 @@ def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> Camer
                                  f"{image.width} x {image.height} px: the mapping is that of other images; make it "
                                  "from these by ddic calibrate")
         return content.mapping
-    if section.ratio is None or section.offset is None:
-        # The schema lets no such section through.
-        raise ValueError("neither near.mapping_file nor near.ratio and near.offset are given")
-    return similarity(section.ratio, section.rotation_degrees, section.offset)
+    return similarity(require_held(section.ratio), section.rotation_degrees, require_held(section.offset))
 
 
 def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = None) -> NDArray[np.int64]:
@@ -181,8 +172,7 @@ def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = No
     if tying is not None:
         for camera, sees in zip(near, seen, strict=True):
             _check_own_mesh(camera, mesh, tying, sees)
-        seen = [np.zeros_like(sees) if _has_own_mesh(camera) else sees
-                for camera, sees in zip(near, seen, strict=True)]
+        seen = [np.zeros_like(sees) if camera.has_own_mesh else sees for camera, sees in zip(near, seen, strict=True)]
     labels = assign_cameras(mesh, seen)
     if tying is not None:
         labels = np.where(tying.cameras > 0, tying.cameras, labels)
@@ -196,10 +186,6 @@ def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = No
     return labels
 
 
-def _has_own_mesh(camera: Camera) -> bool:
-    return camera.field_of_view is not None and camera.field_of_view.has_own_mesh
-
-
 def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: NDArray[np.bool_]) -> None:
     """Raise InputError where a near camera does not see all of its own mesh; sees: (n_nodes,)."""
     part, nodes = mesh.create_submesh(np.flatnonzero(tying.cameras == camera.number))
@@ -211,19 +197,17 @@ def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: NDArray[np.b
 
 def _sees(camera: Camera, nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether nodes (n, 2), specimen's frame, lie in a near image, its margin left out, and in its region."""
-    image, field_of_view = camera.reference.image, camera.field_of_view
-    if field_of_view is None:
-        return np.ones(len(nodes), dtype=bool)
+    image = camera.reference.image
     try:
         seen = camera.setup.mapping.to_image(nodes)
     except ValueError:
         # Beyond the horizon of the mapping.
         return np.zeros(len(nodes), dtype=bool)
-    low = field_of_view.margin
-    high = np.array([image.width - 1, image.height - 1]) - field_of_view.margin
+    low = camera.margin
+    high = np.array([image.width - 1, image.height - 1]) - camera.margin
     inside = ((seen >= low) & (seen <= high)).all(axis=1)
-    if field_of_view.region is not None:
-        x0, y0, x1, y1 = field_of_view.region
+    if camera.region is not None:
+        x0, y0, x1, y1 = camera.region
         inside &= ((nodes >= (x0, y0)) & (nodes <= (x1, y1))).all(axis=1)
     return np.asarray(inside)
 
@@ -245,7 +229,7 @@ class MeasuredCells:
     seen: Mesh
 
 
-def collect_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
+def collect_measured_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
     """Collect the cells of each camera; ``labels``, (n_cells,), give the camera of each cell."""
     if len(cameras) == 1:
         return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]

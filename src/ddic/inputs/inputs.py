@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import choose_frame, list_cameras, list_deformed
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import choose_frame, list_cameras, list_deformed
 from ddic.case.schema import Case
 from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource
@@ -233,34 +233,3 @@ class UpdatedReference:
         Their unknowns have to be displacements of nodes.
         """
         return [self.displacement[subdomain.node_ids].ravel() for subdomain in subdomains]
-
-
-class Problems:
-    """Lines gathered from several checks, so that one failure does not hide the next.
-
-    Attributes
-    ----------
-    lines : list of str
-        One problem each.
-    """
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    @contextmanager
-    def gathered(self, source: Path | None = None) -> Iterator[None]:
-        """Keep the lines of an InputError that is raised inside; ``source`` is a file to name before each line."""
-        try:
-            yield
-        except InputError as error:
-            self.add(error, source)
-
-    def add(self, error: InputError, source: Path | None = None) -> None:
-        """Keep the lines of an error of one check; ``source`` is a file to name before each line."""
-        prefix = "" if source is None else f"{source}: "
-        self.lines += [prefix + line for line in error.problems]
-
-    def require_none(self) -> None:
-        """Raise all of them as one InputError, where there are any."""
-        if self.lines:
-            raise InputError(self.lines)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, check_joints, repair
 from ddic.mesh.structured import build_structured_mesh, count_cells
 from ddic.parallel.node import read_available_memory
+from ddic.parallel.team import require_held
 from ddic.partition.ties import Tying, tie_meshes
 
 BYTES_PER_CELL = 520
@@ -34,27 +33,18 @@ NO_INNER_NODE = ("the mesh has no interior node, so no wavelength can be given a
 """What is said of a mesh all of whose nodes lie on its boundary."""
 
 
-def build_mesh(case: Case, width: int, height: int) -> Mesh:
-    """Read or make the case's mesh, repair it and check that it lies in the image.
-
-    Paths of the case are absolute; the mesh is fit for measuring, pixels. Raises InputError, with the mesh's file or
-    section named, on all that ``read_mesh``, ``build_structured_mesh``, ``repair`` and ``check_inside`` refuse.
-    """
-    return _mesh_of(case.mesh, describe_mesh_source(case), width, height)
-
-
 def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
     """Build the case's mesh with the near fields' own meshes in it, tied to what is left of the far elements.
 
-    Sizes and nodes are in far-field pixels; there is no tying where no near field has a mesh of its own. Raises
-    InputError on all that ``build_mesh`` and ``tie_meshes`` refuse.
+    Paths of the case are absolute, sizes and nodes in far-field pixels; the mesh lies in the image and is fit for
+    measuring. There is no tying where no near field has a mesh of its own. Raises InputError, with the mesh's file or
+    section named, on all that ``read_mesh``, ``build_structured_mesh``, ``accept_mesh`` and ``tie_meshes`` refuse.
     """
-    far = build_mesh(case, width, height)
+    far = _build_mesh(case.mesh, case.mesh.name, width, height)
     near = {}
     for number, section in enumerate(case.near, start=1):
         if section.mesh is not None:
-            name = f"near, entry {number}: {_name(section.mesh)}"
-            near[number] = _mesh_of(section.mesh, name, width, height)
+            near[number] = _build_mesh(section.mesh, f"near, entry {number}: {section.mesh.name}", width, height)
     if not near:
         return far, None
     return tie_meshes(far, near)
@@ -71,56 +61,31 @@ def build_mesh_anywhere(case: Case) -> Mesh:
     return repair(_raw_mesh(case.mesh, 0, 0))
 
 
-def describe_mesh_source(case: Case) -> str:
-    """Name the mesh for messages: its file, or the section that describes the built-in mesh."""
-    return _name(case.mesh)
-
-
-def _name(section: MeshSection) -> str:
-    return "mesh.structured" if section.file is None else str(section.file)
-
-
-def _mesh_of(section: MeshSection, name: str, width: int, height: int) -> Mesh:
+def _build_mesh(section: MeshSection, name: str, width: int, height: int) -> Mesh:
     raw = _raw_mesh(section, width, height)
-    if section.file is not None:
-        return accept_mesh(raw, name, width, height)
-    with _named(name):
-        return _repair_inside(raw, width, height)
+    return accept_mesh(raw, name, width, height, is_built_in=section.structured is not None)
 
 
-def accept_mesh(raw: Mesh, name: str, width: int, height: int) -> Mesh:
-    """Repair a mesh from elsewhere and check that it lies in the image and its cells meet side to side.
+def accept_mesh(raw: Mesh, name: str, width: int, height: int, *, is_built_in: bool = False) -> Mesh:
+    """Repair a mesh and check that it lies in the image and its cells, unless they are built in, meet side to side.
 
     ``name`` is what messages call it. Raises InputError on all that ``repair``, ``check_inside`` and ``check_joints``
     refuse.
     """
-    with _named(name):
-        mesh = _repair_inside(raw, width, height)
-        check_joints(mesh)
-    return mesh
-
-
-def _repair_inside(raw: Mesh, width: int, height: int) -> Mesh:
-    mesh = repair(raw)
-    check_inside(mesh, width, height)
-    return mesh
-
-
-@contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Put the mesh's name before each line of an InputError that is raised inside."""
     try:
-        yield
+        mesh = repair(raw)
+        check_inside(mesh, width, height)
+        if not is_built_in:
+            check_joints(mesh)
     except InputError as error:
         raise InputError([f"{name}: {problem}" for problem in error.problems]) from error
+    return mesh
 
 
 def _raw_mesh(section: MeshSection, width: int, height: int) -> Mesh:
     if section.file is not None:
         return read_mesh(section.file, convert_mapping(section.mapping))
-    if section.structured is None:
-        raise InputError("mesh: give either mesh.file or [mesh.structured]")
-    return _structured(section.structured, width, height)
+    return _structured(require_held(section.structured), width, height)
 
 
 def convert_mapping(section: MappingSection) -> Similarity:

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import Case, RegularizationSection, StructuredSection
+from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError
 from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.repair import check_inside
 from ddic.mesh.structured import build_structured_mesh, count_cells
 from ddic.mesh.topology import BOUNDARY
-from ddic.separated.band_sums import N_BANDS
 from ddic.separated.field import LineElements
 from ddic.separated.separated_regularization import ControlledLines
 
@@ -60,12 +59,14 @@ class Rectangle:
         return build_structured_mesh(self.bounds, min(self.along_x.length, self.along_y.length) / COARSE_CELLS)
 
 
-def build_rectangle(section: StructuredSection) -> Rectangle:
-    """Build the lines of a structured mesh: those that its Q4 elements would have.
+def build_rectangle(case: Case) -> Rectangle:
+    """Build the lines that a case with [pgd] asks for: those that the Q4 elements of its structured mesh would have.
 
-    Raises InputError where the section asks for something other than a whole rectangle of Q4 elements of a pixel or
-    more.
+    Raises InputError where it asks for something other than a whole rectangle of Q4 elements of a pixel or more.
     """
+    section = case.mesh.structured
+    if section is None:
+        raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
     if section.cell != "Q4":
         raise InputError(f'mesh.structured.cell = "{section.cell}": [pgd] measures on "Q4" elements; leave the key out')
     given = [key for key in ("circles", "polygons", "mask") if getattr(section, key)]
@@ -93,16 +94,6 @@ def find_rectangle(mesh: Mesh) -> Rectangle:
     return Rectangle(LineElements(x), LineElements(y))
 
 
-def find_rectangle_of_case(case: Case) -> Rectangle:
-    """Find the rectangle that a case file with [pgd] asks for.
-
-    Raises InputError where there is no ``[mesh.structured]``.
-    """
-    if case.mesh.structured is None:
-        raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
-    return build_rectangle(case.mesh.structured)
-
-
 def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -> None:
     """Check that a rectangle lies in the images, and what a case with [pgd] says of it.
 
@@ -120,13 +111,6 @@ def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -
         raise InputError(f"[regularization]: {NO_INNER_NODE.replace('give regularization.eta', 'leave it out')}")
     if section.cut_off_wavelength is not None:
         check_wavelength_fits(section.cut_off_wavelength, rectangle.element_size)
-
-
-def check_number_of_ranks(n_ranks: int) -> None:
-    """Refuse, with an InputError, MPI ranks that would have no band of rows."""
-    if n_ranks > N_BANDS:
-        raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
-                         f"were started; start at most {N_BANDS}")
 
 
 def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle) -> ControlledLines:

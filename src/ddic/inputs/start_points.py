@@ -51,8 +51,8 @@ def load_start_points(section: StartSection) -> StartPoints | None:
     Raises InputError where a table of points is missing or holds something else.
     """
     if section.from_points is not None:
-        table = read_point_table(section.from_points)
-        return StartPoints(table.values[:, :2], table.values[:, 2:], str(section.from_points), table.rows)
+        values, rows = read_point_table(section.from_points)
+        return StartPoints(values[:, :2], values[:, 2:], str(section.from_points), rows)
     if section.points is not None:
         pairs = np.array(section.points, dtype=np.float64)
         return StartPoints(pairs[:, :2], pairs[:, 2:] - pairs[:, :2], "start.points")

@@ -6,12 +6,12 @@ here, where the library does not turn in a loop over a damaged one.
 
 from __future__ import annotations
 
-import json
 import mmap
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,9 +23,7 @@ from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_shape_quality
 
-if TYPE_CHECKING:
-    from ddic.io.result_reader import Result
-
+Arrays = Mapping[str, NDArray[Any]]
 
 READ_ERRORS = (OSError, RuntimeError, KeyError, ValueError, IndexError, TypeError, AttributeError, ArithmeticError,
                MemoryError)
@@ -54,29 +52,32 @@ def describe_damage(error: BaseException) -> str:
 def read_array(dataset: Any) -> NDArray[Any]:
     """Read a dataset whole, unless it claims to hold more than its file can.
 
-    The file may be damaged. Raises ValueError where memory would be filled with what is not there.
+    The file may be damaged. Raises ValueError, with both sizes, where memory would be filled with what is not there.
     """
-    require_stored(dataset)
+    # A file in memory was written by this program from what was read before.
+    if dataset.file.driver != "core":
+        stored = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
+        if dataset.nbytes > stored * (MOST_DEFLATED if dataset.compression else 1):
+            raise ValueError(f"{dataset.name} claims {dataset.nbytes} bytes, of which {stored} are there")
     return np.asarray(dataset[...])
 
 
-def require_stored(dataset: Any) -> None:
-    """Refuse a dataset that claims to hold more than its file can, by a ValueError with both sizes."""
-    if dataset.file.driver == "core":
-        # Written by this program from what was read before.
-        return
-    stored = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
-    if dataset.nbytes > stored * (MOST_DEFLATED if dataset.compression else 1):
-        raise ValueError(f"{dataset.name} claims {dataset.nbytes} bytes, of which {stored} are there")
+def require_sound_pieces(grid: Arrays, points: NDArray[Any], point_data: Arrays, cell_data: Arrays) -> None:
+    """Refuse pieces of a mesh and their fields that do not fit together, by a ValueError with what does not.
 
-
-def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> None:
-    """Refuse pieces of a mesh that do not fit together, by a ValueError with what does not.
-
-    ``grid`` holds the (n,) arrays NumberOfPoints, NumberOfCells, NumberOfConnectivityIds, Offsets, Connectivity and
-    Types; ``n_stored`` is the number of points of all pieces.
+    ``grid`` holds the (n,) arrays of TOPOLOGY, ``points`` are those of all pieces, (n_points, 3); fields are (n,),
+    (n, 3) or (n, 6) arrays by name.
     """
-    n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
+    _require_fitting_pieces(grid, len(points))
+    _require_sound_cells(grid)
+    _require_sound_fields({"Points": points, **point_data}, len(points))
+    _require_sound_fields(cell_data, len(grid["Types"]))
+    _require_sound_ids(point_data, cell_data)
+
+
+def _require_fitting_pieces(grid: Arrays, n_stored: int) -> None:
+    """Refuse sizes of pieces that are not those of the arrays; n_stored: points of all pieces."""
+    n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     for name, values in grid.items():
         if values.ndim != 1 or values.dtype.kind not in "iu":
             raise ValueError(f"{name}: an array of {values.ndim} dimensions of {values.dtype}")
@@ -90,12 +91,11 @@ def require_sound_pieces(grid: Mapping[str, NDArray[Any]], n_stored: int) -> Non
             raise ValueError(f"{name}: {found} rows, {expected} expected")
     if not n_cells.sum():
         raise ValueError("no cells")
-    _require_sound_cells(grid)
 
 
-def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
+def _require_sound_cells(grid: Arrays) -> None:
     """Refuse cells with other nodes than their types have, or than their piece has."""
-    n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
+    n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     connectivity, types, offsets = grid["Connectivity"], grid["Types"], grid["Offsets"]
     unknown = set(np.unique(types).tolist()) - set(CELL_TYPES)
     if unknown:
@@ -111,11 +111,8 @@ def _require_sound_cells(grid: Mapping[str, NDArray[Any]]) -> None:
         raise ValueError("Offsets: cells have other numbers of nodes than their types")
 
 
-def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> None:
-    """Refuse fields that are not numbers, or have not a row for each place; the ValueError names the field.
-
-    ``fields`` are (n_rows,), (n_rows, 3) or (n_rows, 6) arrays by name.
-    """
+def _require_sound_fields(fields: Arrays, n_rows: int) -> None:
+    """Refuse fields that are not numbers, or have not a row for each place."""
     for name, values in fields.items():
         counts = _COMPONENTS.get(name, _ANY_COMPONENTS)
         shapes = [(n_rows,) if count == 1 else (n_rows, count) for count in counts]
@@ -124,11 +121,8 @@ def require_sound_fields(fields: Mapping[str, NDArray[Any]], n_rows: int) -> Non
                              f"{' or '.join(map(str, counts))} numbers expected")
 
 
-def require_sound_ids(point_data: Mapping[str, NDArray[Any]], cell_data: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse numbers of nodes, cells, subdomains and cameras that are none, by a ValueError.
-
-    The fields are those of all pieces: (n,), (n, 3) or (n, 6) arrays by name.
-    """
+def _require_sound_ids(point_data: Arrays, cell_data: Arrays) -> None:
+    """Refuse numbers of nodes, cells, subdomains and cameras that are none."""
     nodes, cells = point_data[schema.GLOBAL_NODE_ID], cell_data[schema.GLOBAL_CELL_ID]
     for name, numbers in ((schema.GLOBAL_NODE_ID, nodes), (schema.GLOBAL_CELL_ID, cells)):
         if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or _least(numbers) < 0:
@@ -153,26 +147,6 @@ def require_sound_values(mesh: Mesh, displacement: NDArray[np.float64]) -> None:
         raise ValueError(f"Points: {n_shapeless} cells are flat, crossed or not convex")
 
 
-def require_known_displacement(result: Result) -> None:
-    """Refuse a result to start from that lacks displacements where it measured them.
-
-    Raises InputError where nothing was measured, or a node has no displacement although pixels of its cells count.
-    """
-    if not result.measured_nodes.any():
-        raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
-    if json.loads(str(result.attributes.get(schema.CASE, {}).get("json", "{}"))).get("discontinuity"):
-        # Where a line parts cells, pixels of a node's cells may say nothing of one of its sides.
-        return
-    n_cells = result.mesh.n_cells
-    n_pixels = result.cell_data.get(schema.RESIDUAL_N_PIXELS, np.zeros(n_cells))
-    counts = (n_pixels > 0) & (result.cell_data.get(schema.EXCLUDED, np.zeros(n_cells)) == 0)
-    nodes = result.mesh.connectivity[np.repeat(counts, np.diff(result.mesh.offsets))]
-    n_unknown = len(np.unique(nodes[~result.measured_nodes[nodes]]))
-    if n_unknown:
-        raise InputError(f"{result.path}: damaged: {n_unknown} nodes of cells that were measured have no displacement; "
-                         "run ddic again")
-
-
 def _least(values: NDArray[Any]) -> int:
     return int(values.min(initial=0))
 
@@ -194,7 +168,7 @@ _LISTS = ("discontinuity", "near")
 """Sections of a case of which there may be several."""
 
 
-def require_sound_tables(tables: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
+def require_sound_tables(tables: Mapping[str, Arrays]) -> None:
     """Refuse tables whose columns are no numbers or do not have the same rows; the ValueError names the table.
 
     ``tables`` holds the (n,) columns by name, of each group; those of the Krylov histories have each its own length.
@@ -225,7 +199,7 @@ def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Se
         raise ValueError(f"{schema.SERIES}.numbers: {numbers.tolist()[:3]} and so on, of which not all are told of")
 
 
-def require_sound_products(data: Mapping[str, NDArray[Any]]) -> None:
+def require_sound_products(data: Arrays) -> None:
     """Refuse functions of x and y that make no displacement, by a ValueError.
 
     ``data`` holds nodes, functions and amplitudes of PGD-DIC.
@@ -261,7 +235,7 @@ def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> Non
         for name in names:
             if name in attributes.get(group, {}):
                 _require_number(f"{group}.{name}", attributes[group][name], is_length=name in _LENGTHS)
-    _require_case(json.loads(str(attributes.get(schema.CASE, {}).get("json", "{}"))))
+    _require_case(schema.parse_case(attributes))
 
 
 def _require_number(name: str, value: Any, *, is_length: bool) -> None:
@@ -313,12 +287,10 @@ def open_hdf5(path: Path) -> h5py.File:
     Raises InputError where a collection would hold the library for ever, or the objects of the file cannot be listed;
     OSError where it cannot be opened, or is no HDF5 file.
     """
-    file = h5py.File(path, "r")
-    try:
+    with ExitStack() as stack:
+        file = stack.enter_context(h5py.File(path, "r"))
         _require_finite(path, file)
-    except BaseException:
-        file.close()
-        raise
+        stack.pop_all()
     return file
 
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 import io
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import h5py
@@ -101,52 +100,22 @@ class _UnfailingFile(io.RawIOBase):
         super().close()
 
 
-class NewHdf5:
-    """An HDF5 file under construction; use it in a ``with`` statement.
-
-    Parameters
-    ----------
-    path : Path
-        An existing file, emptied.
-    cache_bytes : int, optional
-        For chunks of datasets.
-
-    Attributes
-    ----------
-    file : h5py.File
-        To which datasets are added.
-    """
-
-    def __init__(self, path: Path, cache_bytes: int | None = None) -> None:
-        self._stream = _UnfailingFile(path)
-        self.file = h5py.File(self._stream, "w", rdcc_nbytes=cache_bytes)
-
-    def __enter__(self) -> NewHdf5:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        try:
-            self.file.close()
-        finally:
-            self._stream.close()
-        if kind is None or issubclass(kind, Exception):
-            # What else went wrong comes of it.
-            self.require_written()
-
-    def require_written(self) -> None:
-        """Raise an OSError where the disk has not taken everything so far."""
-        self._stream.require_written()
-
-
 @contextmanager
-def new_hdf5(path: Path) -> Iterator[h5py.File]:
+def new_hdf5(path: Path, cache_bytes: int | None = None) -> Iterator[tuple[h5py.File, Callable[[], None]]]:
     """Yield an HDF5 file to be written, which is closed whatever the disk does.
 
-    ``path`` is an existing file, which is emptied. Raises OSError where the disk has not taken everything.
+    Beside it comes what raises an OSError where the disk has not taken everything so far; so it is at the end. ``path``
+    is an existing file, which is emptied; ``cache_bytes`` are for chunks of datasets.
     """
-    with NewHdf5(path) as new:
-        yield new.file
+    stream = _UnfailingFile(path)
+    try:
+        with stream, h5py.File(stream, "w", rdcc_nbytes=cache_bytes) as file:
+            yield file, stream.require_written
+    except Exception:
+        # What else went wrong comes of what the disk has refused.
+        stream.require_written()
+        raise
+    stream.require_written()
 
 
 IMAGE_CHUNK = 256

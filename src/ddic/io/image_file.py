@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,20 +20,25 @@ from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.io.image_formats import (
-    PixelFormat,
-    can_decode,
-    caught_messages,
-    describe_other_compression,
-    is_tiff,
-    read_tiff,
-    read_tiff_format,
-    to_grey,
-)
-from ddic.io.image_header import check_header
+from ddic.io import image_formats as formats
+from ddic.io.image_formats import PixelFormat
 from ddic.io.input_file import require_file
 
-_JPEG = b"\xff\xd8\xff"
+if TYPE_CHECKING:
+    from PIL.ImageFile import ImageFile as HeaderReader
+
+PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
+"""First bytes of the files."""
+
+MOST_PIXELS_OF_A_BYTE = {
+    # Deflate makes 1032 bytes of one at most, of 8 pixels each where they are black or white.
+    PNG: 8 * 1032,
+    # A block of 8 x 8 pixels takes a bit at least in the first scan.
+    JPEG: 8 * 64,
+    # Run lengths: 255 pixels in two bytes.
+    BMP: 128,
+}
+"""The most pixels that a byte can hold, by the file's first bytes."""
 
 _DAMAGE = ("Corrupt JPEG data", "Premature end of JPEG file")
 """What libjpeg says of pixels that it could not decode."""
@@ -43,22 +47,7 @@ _HARMLESS = "extraneous bytes"
 """What it says too where it lost none."""
 
 
-def read_decoded_format(path: Path) -> PixelFormat:
-    """Read size and type of an image file that OpenCV reads; raises InputError where it does not."""
-    return _format(_decode(path))
-
-
-def decode_whole(path: Path) -> tuple[PixelFormat, NDArray[Any]]:
-    """Decode a whole image to the size and type of its pixels, and its grey levels, (height, width).
-
-    Raises InputError where it is unreadable.
-    """
-    pixels = _decode(path)
-    layout = _format(pixels)
-    return layout, to_grey(_red_first(pixels, layout), layout.n_colours)
-
-
-def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
+def _read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
     """Decode an image and keep grey levels of a window of it, (window.height, window.width).
 
     ``layout`` is what the file held when it was opened. Raises InputError where it is unreadable, or has changed.
@@ -66,15 +55,8 @@ def read_decoded(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any
     pixels = _decode(path)
     if pixels.shape != (layout.height, layout.width, layout.n_channels):
         raise InputError(f"{path}: the file changed while it was in use; keep images fixed during a run")
-    part = _red_first(pixels[window.y0:window.y1, window.x0:window.x1], layout)
     # A copy, so that the whole image is released.
-    return to_grey(part, layout.n_colours).copy()
-
-
-def is_jpeg(path: Path) -> bool:
-    """Tell whether a file starts as JPEG does."""
-    with path.open("rb") as stream:
-        return stream.read(len(_JPEG)) == _JPEG
+    return _convert_to_grey(pixels[window.y0:window.y1, window.x0:window.x1], layout).copy()
 
 
 def _format(pixels: NDArray[Any]) -> PixelFormat:
@@ -84,17 +66,18 @@ def _format(pixels: NDArray[Any]) -> PixelFormat:
                        n_colours=1 if n_channels < 3 else 3, n_channels=n_channels)
 
 
-def _red_first(pixels: NDArray[Any], layout: PixelFormat) -> NDArray[Any]:
+def _convert_to_grey(pixels: NDArray[Any], layout: PixelFormat) -> NDArray[Any]:
+    """Grey levels (height, width) of decoded pixels."""
     # OpenCV orders colours blue, green, red.
-    """The same pixels, colours in the order red, green, blue."""
-    return pixels[..., 2::-1] if layout.n_colours == 3 else pixels
+    red_first = pixels[..., 2::-1] if layout.n_colours == 3 else pixels
+    return formats.to_grey(red_first, layout.n_colours)
 
 
 def _decode(path: Path) -> NDArray[Any]:
     """All pixels (height, width, n_channels) as OpenCV orders them."""
-    check_header(path)
+    _check_header(path)
     reason = ""
-    with caught_messages() as messages:
+    with formats.caught_messages() as messages:
         try:
             # Without this flag OpenCV silently cuts 16 bits to 8 and turns colour about.
             pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -119,7 +102,45 @@ def _without_equal_colours(pixels: NDArray[Any]) -> NDArray[Any]:
     return pixels[..., [0, *range(3, pixels.shape[2])]]
 
 
-T = TypeVar("T")
+def _check_header(path: Path) -> None:
+    """Check the size that an image claims against the size of its file.
+
+    Raises InputError where the header is damaged, or claims more pixels than the file can hold.
+    """
+    magic = _find_magic(path)
+    if magic is None:
+        return
+    try:
+        # Not Image.open, which takes large images for attacks.
+        with _find_reader(magic)(str(path)) as header:
+            width, height = header.size
+    # Pillow's readers raise anything on a damaged header.
+    except Exception as error:
+        raise InputError(f"{path}: damaged, or cut short ({error}); copy or save it again") from error
+    n_bytes = path.stat().st_size
+    if width * height > MOST_PIXELS_OF_A_BYTE[magic] * n_bytes:
+        raise InputError(f"{path}: damaged: its header claims {width} x {height} px, which a file of {n_bytes} bytes "
+                         "cannot hold; copy or save it again")
+    formats.check_claimed_size(path, width, height)
+    formats.check_decoded_size(path, width, height)
+
+
+def _find_magic(path: Path) -> bytes | None:
+    """The first bytes of a file, where they are those of PNG, JPEG or BMP."""
+    with path.open("rb") as stream:
+        first = stream.read(4)
+    return next((known for known in MOST_PIXELS_OF_A_BYTE if first.startswith(known)), None)
+
+
+def _find_reader(magic: bytes) -> type[HeaderReader]:
+    """Reader of a format's header."""
+    # Here, for TIFF files, the usual ones, do without Pillow.
+    from PIL.BmpImagePlugin import BmpImageFile
+    from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.PngImagePlugin import PngImageFile
+
+    readers: dict[bytes, type[HeaderReader]] = {PNG: PngImageFile, JPEG: JpegImageFile, BMP: BmpImageFile}
+    return readers[magic]
 
 
 @dataclass(frozen=True)
@@ -167,7 +188,7 @@ class ImageFile:
         """
         if window.n_pixels == 0 or not Window(0, 0, self.width, self.height).contains(window):
             raise ValueError(f"{window} is empty or leaves the image of {self.width} x {self.height} pixels")
-        reader = read_tiff if self.windowed else read_decoded
+        reader = formats.read_tiff if self.windowed else _read_decoded
         return reader(self.path, self.layout, window)
 
 
@@ -178,11 +199,7 @@ def open_image(path: Path | str) -> ImageFile:
     that is read window by window, nothing but the header has been read. Raises InputError if the file is missing or is
     no image that can be read.
     """
-    path = Path(path)
-    windowed, tiff = _kind(path)
-    layout = read_tiff_format(path) if windowed else _explained(path, tiff, read_decoded_format)
-    _warn_of_what_is_dropped(path, layout)
-    return ImageFile(path, layout, windowed)
+    return _open(Path(path))[0]
 
 
 def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
@@ -190,13 +207,8 @@ def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
 
     That is all grey levels, (height, width), where the file can only be decoded whole, else None.
     """
-    path = Path(path)
-    windowed, tiff = _kind(path)
-    if windowed:
-        return open_image(path), None
-    layout, pixels = _explained(path, tiff, decode_whole)
-    _warn_of_what_is_dropped(path, layout)
-    return ImageFile(path, layout, windowed), pixels
+    image, pixels = _open(Path(path))
+    return image, None if pixels is None else _convert_to_grey(pixels, image.layout)
 
 
 def hold_image(path: Path | str) -> ImageSource:
@@ -208,15 +220,23 @@ def hold_image(path: Path | str) -> ImageSource:
     return image if pixels is None else ArraySource(image.path, pixels, image.saturation)
 
 
-def _kind(path: Path) -> tuple[bool, bool]:
-    """Whether a file can be read window by window, and whether it is a TIFF; raises InputError if it is missing."""
+def _open(path: Path) -> tuple[ImageFile, NDArray[Any] | None]:
+    """An image, and its decoded pixels where the file cannot be read window by window."""
     require_file(path, "image file")
     try:
-        tiff = is_tiff(path)
+        tiff = formats.is_tiff(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
     # Some compressions need codecs that tifffile lacks: OpenCV decodes those, whole but with all their bits.
-    return tiff and can_decode(path), tiff
+    windowed = tiff and formats.can_decode(path)
+    pixels = None
+    if windowed:
+        layout = formats.read_tiff_format(path)
+    else:
+        pixels = _decode_tiff(path) if tiff else _decode(path)
+        layout = _format(pixels)
+    _warn_of_what_is_dropped(path, layout)
+    return ImageFile(path, layout, windowed), pixels
 
 
 def compute_sha256(path: Path | str) -> str:
@@ -225,34 +245,33 @@ def compute_sha256(path: Path | str) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _explained(path: Path, tiff: bool, decode: Callable[[Path], T]) -> T:
-    """What ``decode`` makes of a file; where it fails on a TIFF, the error says what to do about it."""
-    other = describe_other_compression(path) if tiff else None
+def _decode_tiff(path: Path) -> NDArray[Any]:
+    """All pixels of a TIFF as OpenCV orders them; where there are none, the error says what to do about it."""
+    other = formats.describe_other_compression(path)
     if other is not None:
         raise InputError(f"{path}: no codec is installed for the compression of this TIFF ({other}); save it again as "
                          "uncompressed TIFF, or install imagecodecs")
     try:
-        return decode(path)
+        return _decode(path)
     except InputError as error:
-        if not tiff:
-            raise
         raise InputError(f"{path}: TIFF that is cut short, or that cannot be decoded here; save it again as "
                          "uncompressed TIFF, or install imagecodecs") from error
 
 
 def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
     """Warn of pages, colours and channels that are not used, and of grey levels that are not the camera's."""
-    if is_jpeg(path):
-        warnings.warn(f"{path}: JPEG compression changes grey levels, which adds to the noise; save TIFF or PNG where "
-                      "you can", stacklevel=3)
-    if layout.n_pages > 1:
-        warnings.warn(f"{path}: {layout.n_pages} pages, only the first is used", stacklevel=3)
-    if layout.inverted:
-        warnings.warn(f"{path}: white is stored as zero, grey levels are inverted", stacklevel=3)
-    if layout.n_colours == 3:
-        warnings.warn(f"{path}: colour image, turned to grey (0.299 R + 0.587 G + 0.114 B)", stacklevel=3)
-    if layout.n_channels > layout.n_colours:
-        warnings.warn(f"{path}: the alpha (transparency) channel is not used", stacklevel=3)
+    dropped = {
+        "JPEG compression changes grey levels, which adds to the noise; save TIFF or PNG where you can":
+            _find_magic(path) == JPEG,
+        f"{layout.n_pages} pages, only the first is used": layout.n_pages > 1,
+        "white is stored as zero, grey levels are inverted": layout.inverted,
+        "colour image, turned to grey (0.299 R + 0.587 G + 0.114 B)": layout.n_colours == 3,
+        "the alpha (transparency) channel is not used": layout.n_channels > layout.n_colours,
+    }
+    for message, applies in dropped.items():
+        if applies:
+            # Told of the line that opens the image.
+            warnings.warn(f"{path}: {message}", stacklevel=4)
 
 
 def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 import tifffile
@@ -27,10 +27,13 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.image_header import check_claimed_size, check_decoded_size
 
-if TYPE_CHECKING:
-    pass
+MOST_PIXELS_ALONG = 1_000_000
+"""Columns or rows of an image: ten times those of the largest sensors. A larger value believes more headers."""
+
+MOST_PIXELS_DECODED = 1 << 28
+"""Pixels of an image that can only be decoded whole, 16,384 x 16,384: it takes seconds, and a byte or more of memory a
+pixel. A larger value makes every look at a larger image as slow as that."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,27 @@ def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
     for weight, channel in zip(LUMA, range(3), strict=True):
         grey += weight * channels[..., channel]
     return grey.astype(np.float32)
+
+
+def check_decoded_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image that would have to be decoded whole to read any part of it, and is too large for that.
+
+    Raises InputError where it has, as its header says, more than MOST_PIXELS_DECODED.
+    """
+    if width * height > MOST_PIXELS_DECODED:
+        raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
+                         f"{MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of which only "
+                         "what is needed is read")
+
+
+def check_claimed_size(path: Path, width: int, height: int) -> None:
+    """Refuse an image of a size that no camera gives.
+
+    Raises InputError where a side, as its header says, is longer than MOST_PIXELS_ALONG.
+    """
+    if max(width, height) > MOST_PIXELS_ALONG:
+        raise InputError(f"{path}: its header claims {width} x {height} px; images have {MOST_PIXELS_ALONG} columns "
+                         "and rows at most; copy or save it again, if it is not damaged")
 
 
 # tifffile tells of damage by its log, beside what it raises; what matters of it is checked here.
@@ -221,13 +245,27 @@ def _check_segments(path: Path, tiff: Any, page: Any) -> None:
         n_bytes = height * width * int(page.samplesperpixel) * _pixel_type(page).itemsize
         is_whole = starts[0] + n_bytes <= size
     else:
-        rows, columns = (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, width)
+        rows, columns = _segment_size(page)
         n_planes = int(page.samplesperpixel) if page.planarconfig == 2 else 1
         n_segments = -(-height // rows) * -(-width // columns) * n_planes
         is_whole = n_segments <= len(starts) == len(counts) and bool(((starts + counts)[counts > 0] <= size).all())
     if not is_whole:
         raise InputError(f"{path}: cut short, or damaged: its header claims {width} x {height} px, which the {size} "
                          "bytes of the file do not hold; copy or save it again")
+
+
+def _segment_size(page: Any) -> tuple[int, int]:
+    """Rows and columns of a strip or a tile."""
+    return (page.tilelength, page.tilewidth) if page.is_tiled else (page.rowsperstrip, page.imagewidth)
+
+
+def _read_bytes(tiff: Any, offset: int, n_bytes: int) -> bytes:
+    """Bytes of an open file; raises ValueError where they are not all there."""
+    tiff.filehandle.seek(offset)
+    data: bytes = tiff.filehandle.read(n_bytes)
+    if len(data) < n_bytes:
+        raise ValueError("the file is cut short")
+    return data
 
 
 def _lies_together(page: Any) -> bool:
@@ -255,8 +293,7 @@ def _pixel_type(page: Any) -> np.dtype[Any]:
     return np.dtype(np.uint8) if page.dtype.kind == "b" else np.dtype(page.dtype).newbyteorder("=")
 
 
-def _blocks(tiff: Any, page: Any, layout: PixelFormat,
-            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _blocks(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
     if _lies_together(page):
         yield from _bands(tiff, page, layout, window)
@@ -266,46 +303,34 @@ def _blocks(tiff: Any, page: Any, layout: PixelFormat,
         yield from _planes(tiff, page, layout, window)
 
 
-def _bands(tiff: Any, page: Any, layout: PixelFormat,
-           window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _bands(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Rows of the window, read straight from pixels that lie together."""
     stored = _pixel_type(page).newbyteorder(tiff.byteorder)
     row_bytes = layout.width * layout.n_channels * stored.itemsize
     rows_at_once = max(1, BAND_BYTES // row_bytes)
     for y in range(window.y0, window.y1, rows_at_once):
         n_rows = min(rows_at_once, window.y1 - y)
-        tiff.filehandle.seek(page.dataoffsets[0] + y * row_bytes)
-        data = tiff.filehandle.read(n_rows * row_bytes)
-        if len(data) < n_rows * row_bytes:
-            raise ValueError("the file is cut short")
+        data = _read_bytes(tiff, page.dataoffsets[0] + y * row_bytes, n_rows * row_bytes)
         yield np.frombuffer(data, stored).reshape(n_rows, layout.width, layout.n_channels), 0, y
 
 
-def _segments(tiff: Any, page: Any, window: Window,
-              numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _segments(tiff: Any, page: Any, window: Window, numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Strips or tiles under the window, decoded one by one; numbers: of those of one plane."""
-    height, width = page.rowsperstrip, page.imagewidth
-    if page.is_tiled:
-        height, width = page.tilelength, page.tilewidth
+    height, width = _segment_size(page)
     columns = -(-page.imagewidth // width)
     for number in numbers:
         row, column = divmod(number - numbers.start, columns)
         x, y = column * width, row * height
         if window.intersection(Window(x, y, x + width, y + height)).n_pixels == 0:
             continue
-        data = None
-        if page.databytecounts[number]:
-            tiff.filehandle.seek(page.dataoffsets[number])
-            data = tiff.filehandle.read(page.databytecounts[number])
-            if len(data) < page.databytecounts[number]:
-                raise ValueError("the file is cut short")
+        n_bytes = page.databytecounts[number]
+        data = _read_bytes(tiff, page.dataoffsets[number], n_bytes) if n_bytes else None
         pixels, _, shape = page.decode(data, number)
         block = np.full(shape, page.nodata, page.dtype) if pixels is None else pixels
         yield block[0], x, y
 
 
-def _planes(tiff: Any, page: Any, layout: PixelFormat,
-            window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
+def _planes(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Blocks of colours that the file holds in planes apart."""
     per_plane = len(page.dataoffsets) // layout.n_channels
     planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))

@@ -21,7 +21,9 @@ from ddic.io.result_reader import merge_pieces
 from ddic.io.series_folder import SeriesFolder
 from ddic.io.sidecars import write_physical_sidecar
 
-GEOMETRY = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Points", "Connectivity", "Offsets", "Types")
+Arrays = Mapping[str, NDArray[Any]]
+
+GEOMETRY = ("Points", *schema.TOPOLOGY)
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,9 @@ class StoredFrame:
         Fields by name, a row a point or cell of the pieces.
     """
 
-    geometry: Mapping[str, NDArray[Any]]
-    point_data: Mapping[str, NDArray[Any]]
-    cell_data: Mapping[str, NDArray[Any]]
+    geometry: Arrays
+    point_data: Arrays
+    cell_data: Arrays
 
 
 def read_stored_frame(file: Any) -> StoredFrame:
@@ -82,7 +84,7 @@ def _find_rows(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.
 def _has_same_mesh(frame: StoredFrame, other: StoredFrame) -> bool:
     """Whether the pieces joined are the same nodes and cells, bit by bit."""
     one, two = (merge_pieces(each.geometry, each.geometry["Points"], each.point_data[schema.GLOBAL_NODE_ID],
-                             each.cell_data[schema.GLOBAL_CELL_ID]).mesh for each in (frame, other))
+                             each.cell_data[schema.GLOBAL_CELL_ID])[0] for each in (frame, other))
     return all(np.array_equal(getattr(one, name), getattr(two, name))
                for name in ("nodes", "connectivity", "offsets", "types"))
 
@@ -91,15 +93,9 @@ CHUNK_BYTES = 1 << 20
 """Of the datasets that grow by a frame at a time. Larger chunks read whole frames faster, single nodes slower."""
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where the geometry of a step begins in the file: its parts, points, cells and connectivity."""
-
-    part: int = 0
-    point: int = 0
-    cell: int = 0
-    connectivity: int = 0
-
+_STARTS = {"PartOffsets": "NumberOfPoints", "PointOffsets": "Points", "CellOffsets": "Types",
+           "ConnectivityIdOffsets": "Connectivity"}
+"""Names of the rows at which a step begins, and a dataset that each is of."""
 
 def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[str], origin: str,
                 files: NewFiles) -> None:
@@ -113,14 +109,11 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
     name. Raises OSError where it cannot be written.
     """
     target = folder.result
-    with new_hdf5(files.begin(target)) as file:
+    with new_hdf5(files.begin(target)) as (file, _):
         with open_hdf5(folder.get_frame_path(numbers[0])) as first:
-            for name in ("ddic_schema", "y_axis"):
-                file.attrs[name] = first.attrs[name]
+            schema.copy_attributes(first, file, schema.OF_FORMAT)
         file.attrs[schema.STATUS], file.attrs[schema.FAILURE] = schema.CONVERGED, ""
-        group = file.create_group(schema.VTKHDF)
-        group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
-        group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
+        group = schema.create_vtk_group(file, "UnstructuredGrid")
         geometry = _GrowingGeometry(group)
         fields = {kind: _GrowingFields(file.require_group(kind)) for kind in (schema.POINT_DATA, schema.CELL_DATA)}
         times = []
@@ -130,10 +123,17 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
                 for kind, values in ((schema.POINT_DATA, frame.point_data), (schema.CELL_DATA, frame.cell_data)):
                     fields[kind].add(values, source[kind])
                 times.append(float(source[schema.TIME].attrs["deformed"]))
-                _copy_rest(source, file.create_group(schema.frame_group(number)))
-        _write_steps(group, geometry.places, times)
+                # What is neither geometry nor field, nor needed by later frames only.
+                rest = file.create_group(schema.frame_group(number))
+                for name in sorted(source.keys() - {schema.VTKHDF, schema.SERIES}):
+                    source.copy(name, rest)
+                schema.copy_attributes(source, rest, schema.OF_STATUS)
+        steps = group.create_group("Steps")
+        steps.attrs["NSteps"] = len(times)
+        steps["Values"] = np.array(times)
+        geometry.write_starts(steps)
         for kind, growing in fields.items():
-            growing.write_offsets(group["Steps"].create_group(f"{kind.rpartition('/')[2]}Offsets"))
+            growing.write_starts(steps.create_group(f"{kind.rpartition('/')[2]}Offsets"))
         series = file.create_group(schema.SERIES)
         series.attrs["numbers"] = np.array(numbers, np.int64)
         series.attrs["origin"] = origin
@@ -151,29 +151,32 @@ class _GrowingGeometry:
     def __init__(self, group: Any) -> None:
         self._group = group
         self._last: StoredFrame | None = None
-        self.places: list[tuple[_Place, int]] = []
+        self._starts: dict[str, list[int]] = {name: [] for name in _STARTS}
+        self._n_parts: list[int] = []
 
     def add(self, frame: StoredFrame, described: Any) -> StoredFrame:
         """Add that of a step, in the pieces of the last one where its mesh is the same; the frame in these pieces."""
         if self._last is not None:
             frame = partition_like(frame, self._last)
-        if self._last is not None and has_same_geometry(frame, self._last):
-            self.places.append(self.places[-1])
-        else:
-            self.places.append((self._append(frame.geometry, described), len(frame.geometry["NumberOfPoints"])))
+        stays = self._last is not None and has_same_geometry(frame, self._last)
+        for name, counted in _STARTS.items():
+            starts = self._starts[name]
+            n_before = len(self._group[counted]) if counted in self._group else 0
+            starts.append(starts[-1] if stays else n_before)
+        self._n_parts.append(len(frame.geometry["NumberOfPoints"]))
+        if not stays:
+            for name in GEOMETRY:
+                _append(self._group, name, frame.geometry[name], described[name])
         self._last = frame
         return frame
 
-    def _append(self, geometry: Mapping[str, NDArray[Any]], described: Any) -> _Place:
-        """Write it behind all others; where it begins."""
-        if self._last is None:
-            for name in GEOMETRY:
-                _create_growing(self._group, name, geometry[name], described[name])
-            return _Place()
-        begin = _Place(*(len(self._group[name]) for name in ("NumberOfPoints", "Points", "Types", "Connectivity")))
-        for name in GEOMETRY:
-            _append(self._group[name], geometry[name])
-        return begin
+    def write_starts(self, steps: Any) -> None:
+        """Write where each step's geometry begins, as VTKHDF wants it."""
+        steps["NumberOfParts"] = np.array(self._n_parts, np.int64)
+        for name, starts in self._starts.items():
+            rows = np.array(starts, np.int64)
+            # One column for each kind of cells that VTK keeps apart: one of an unstructured grid.
+            steps[name] = rows[:, None] if name in ("CellOffsets", "ConnectivityIdOffsets") else rows
 
 
 class _GrowingFields:
@@ -185,7 +188,7 @@ class _GrowingFields:
         self._last: dict[str, NDArray[Any]] = {}
         self._n_steps = 0
 
-    def add(self, fields: Mapping[str, NDArray[Any]], described: Any) -> None:
+    def add(self, fields: Arrays, described: Any) -> None:
         """Add those of a step; described: the datasets, whose attributes say what they are."""
         n_rows = len(next(iter(fields.values())))
         for name in sorted({*fields, *self._offsets}):
@@ -199,20 +202,17 @@ class _GrowingFields:
                 self._offsets[name].append(self._offsets[name][-1])
                 continue
             self._offsets[name].append(len(self._group[name]))
-            _append(self._group[name], values)
+            _append(self._group, name, values, described[name])
             self._last[name] = values
         self._n_steps += 1
 
     def _begin(self, name: str, values: NDArray[Any], described: Any) -> None:
         """Make room for a field; earlier steps do not know it."""
-        _create_growing(self._group, name, values[:0], described)
-        self._offsets[name], self._last[name] = [], values[:0]
-        if self._n_steps:
-            self._last[name] = _make_unknown(values, len(values))
-            _append(self._group[name], self._last[name])
-            self._offsets[name] = [0] * self._n_steps
+        self._last[name] = _make_unknown(values, len(values) if self._n_steps else 0)
+        self._offsets[name] = [0] * self._n_steps
+        _append(self._group, name, self._last[name], described)
 
-    def write_offsets(self, group: Any) -> None:
+    def write_starts(self, group: Any) -> None:
         """Write where each step's values begin."""
         for name, offsets in self._offsets.items():
             group[name] = np.array(offsets, np.int64)
@@ -223,38 +223,16 @@ def _make_unknown(like: NDArray[Any], n_rows: int) -> NDArray[Any]:
     return np.full((n_rows, *like.shape[1:]), np.nan if like.dtype.kind == "f" else 0, dtype=like.dtype)
 
 
-def _create_growing(group: Any, name: str, values: NDArray[Any], described: Any) -> None:
-    row_bytes = max(1, values.dtype.itemsize * int(np.prod(values.shape[1:])))
-    rows = max(1, min(len(described), CHUNK_BYTES // row_bytes))
-    made = group.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]),
-                                chunks=(rows, *values.shape[1:]))
-    for key, value in described.attrs.items():
-        made.attrs[key] = value
-
-
-def _append(dataset: Any, values: Any) -> None:
+def _append(group: Any, name: str, values: NDArray[Any], described: Any) -> None:
+    """Write values behind those of a dataset, which is made where there is none yet, with the attributes of another."""
+    if name not in group:
+        row_bytes = max(1, values.dtype.itemsize * int(np.prod(values.shape[1:])))
+        rows = max(1, min(len(described), CHUNK_BYTES // row_bytes))
+        made = group.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]),
+                                    chunks=(rows, *values.shape[1:]))
+        made.attrs.update(described.attrs)
+        return
+    dataset = group[name]
     n_before = len(dataset)
     dataset.resize(n_before + len(values), axis=0)
     dataset[n_before:] = values
-
-
-def _copy_rest(source: Any, target: Any) -> None:
-    """Copy what is neither geometry nor field, nor needed by later frames only."""
-    for name in source:
-        if name not in (schema.VTKHDF, schema.SERIES):
-            source.copy(name, target)
-    for key in (schema.STATUS, schema.FAILURE):
-        target.attrs[key] = source.attrs[key]
-
-
-def _write_steps(group: Any, places: Sequence[tuple[_Place, int]], times: Sequence[float]) -> None:
-    """Where each step's geometry and fields begin, as VTKHDF wants it."""
-    steps = group.create_group("Steps")
-    steps.attrs["NSteps"] = len(times)
-    steps["Values"] = np.array(times)
-    steps["PartOffsets"] = np.array([place.part for place, _ in places], np.int64)
-    steps["NumberOfParts"] = np.array([n_parts for _, n_parts in places], np.int64)
-    steps["PointOffsets"] = np.array([place.point for place, _ in places], np.int64)
-    # One column for each kind of cells that VTK keeps apart: one of an unstructured grid.
-    steps["CellOffsets"] = np.array([[place.cell] for place, _ in places], np.int64)
-    steps["ConnectivityIdOffsets"] = np.array([[place.connectivity] for place, _ in places], np.int64)

@@ -78,17 +78,12 @@ def write_mapping(path: Path, content: MappingFile) -> None:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_mapping(path: Path) -> CameraMapping:
-    """Read only the mapping of a mapping file, from far to near px; raises InputError as ``read_mapping_file`` does."""
-    return read_mapping_file(path).mapping
-
-
 def read_mapping_file(path: Path) -> MappingFile:
     """Read a mapping file; ``[distortion]`` and ``[quality]`` may be missing.
 
     Raises InputError with the file, the key, the value and what is expected, one line per problem.
     """
-    data = _parsed(path)
+    data = parse_toml(read_text(path, "mapping file", "check the path, or make it with ddic calibrate"), path)
     if not get_close_matches("homography", data):
         raise InputError(f"{path}: this is no mapping file, for it holds no homography; make one with ddic calibrate")
     reader = _Reader(data, path)
@@ -178,12 +173,6 @@ def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
     if not shape:
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return isinstance(value, list) and len(value) == shape[0] and all(_has_shape(item, shape[1:]) for item in value)
-
-
-def _parsed(path: Path) -> dict[str, Any]:
-    """The values of a TOML file."""
-    text = read_text(path, "mapping file", "check the path, or make it with ddic calibrate")
-    return parse_toml(text, path)
 
 
 def _row(values: Iterable[Any]) -> str:

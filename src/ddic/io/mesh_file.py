@@ -1,14 +1,12 @@
-"""Meshes read from files in any format that meshio knows.
-
-A mesh with its fields, as other libraries hold them.
-"""
+"""Meshes read from files in any format that meshio knows."""
 
 from __future__ import annotations
 
 import io
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -96,11 +94,10 @@ def _plane_points(name: str, points: NDArray[np.float64],
 def _node_sets(raw: Any) -> dict[str, NDArray[np.int64]]:
     """Node sets of all kinds by name, sorted, without empty ones."""
     gathered: dict[str, list[NDArray[np.int64]]] = {}
-    for source in (_physical_groups(raw), _cell_sets(raw), _point_sets(raw)):
-        for name, nodes in source:
-            gathered.setdefault(name, []).append(nodes)
+    for name, nodes in chain(_physical_groups(raw), _cell_sets(raw), raw.point_sets.items()):
+        gathered.setdefault(name, []).append(np.asarray(nodes, dtype=np.int64).ravel())
     sets = {name: np.unique(np.concatenate(parts)) for name, parts in gathered.items()}
-    return {name: nodes.astype(np.int64) for name, nodes in sets.items() if len(nodes)}
+    return {name: nodes for name, nodes in sets.items() if len(nodes)}
 
 
 def _physical_groups(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
@@ -109,7 +106,7 @@ def _physical_groups(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
     for block, of_cells in zip(raw.cells, tags, strict=len(tags) > 0):
         for name, (tag, dimension) in raw.field_data.items():
             if NAMING_CELLS.get(block.type) == dimension:
-                yield name, np.asarray(block.data)[np.asarray(of_cells) == tag].ravel()
+                yield name, np.asarray(block.data)[np.asarray(of_cells) == tag]
 
 
 def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
@@ -120,56 +117,4 @@ def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
             continue
         for block, of_block in zip(raw.cells, members, strict=True):
             if block.type in NAMING_CELLS and of_block is not None:
-                yield name, np.asarray(block.data)[np.asarray(of_block, dtype=np.int64)].ravel()
-
-
-def _point_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    """Nodes of meshio's point sets."""
-    for name, members in raw.point_sets.items():
-        yield name, np.asarray(members, dtype=np.int64).ravel()
-
-
-Fields = Mapping[str, NDArray[Any]]
-
-
-def to_meshio(mesh: Mesh, point_data: Fields, cell_data: Fields) -> Any:
-    """Make a meshio mesh, whose ``write`` knows some forty formats; pixels, y down.
-
-    Fields are (n_nodes, ...) and (n_cells, ...) arrays by name. Points are (n_nodes, 3) with z = 0; there is a block of
-    cells for each cell type, so that cells and their data are sorted by type where the mesh mixes them.
-    """
-    import meshio
-
-    blocks = mesh.cell_blocks
-    return meshio.Mesh(
-        _points_in_space(mesh),
-        [(block.type.meshio_name, block.nodes) for block in blocks],
-        point_data=dict(point_data),
-        cell_data={name: [values[block.cells] for block in blocks] for name, values in cell_data.items()},
-    )
-
-
-def to_pyvista(mesh: Mesh, point_data: Fields, cell_data: Fields) -> Any:
-    """Make a PyVista grid, to look at in a notebook; pixels, y down, cells in the mesh's order.
-
-    Fields are (n_nodes, ...) and (n_cells, ...) arrays by name. Points are (n_nodes, 3) with z = 0. Raises InputError
-    where PyVista is not installed.
-    """
-    try:
-        import pyvista
-    except ImportError as error:
-        raise InputError("PyVista is not installed here: pip install pyvista") from error
-    # VTK's list of cells: the number of a cell's nodes, then its nodes, cell after cell.
-    counts = np.diff(mesh.offsets)
-    cells = np.insert(mesh.connectivity, mesh.offsets[:-1], counts)
-    grid = pyvista.UnstructuredGrid(cells, mesh.types, _points_in_space(mesh))
-    for name, values in point_data.items():
-        grid.point_data[name] = values
-    for name, values in cell_data.items():
-        grid.cell_data[name] = values
-    return grid
-
-
-def _points_in_space(mesh: Mesh) -> NDArray[np.float64]:
-    """Nodes with the coordinates that the mesh does not have set to 0, (n_nodes, 3)."""
-    return np.pad(mesh.nodes, ((0, 0), (0, 3 - mesh.dim)))
+                yield name, np.asarray(block.data)[np.asarray(of_block, dtype=np.int64)]

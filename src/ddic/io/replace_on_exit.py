@@ -83,7 +83,7 @@ class NewFiles:
                 temporary.unlink(missing_ok=True)
             if descriptor >= 0:
                 os.close(descriptor)
-            forget_unfinished(temporary)
+            _UNFINISHED.discard(temporary)
 
 
 @contextmanager
@@ -121,11 +121,6 @@ def replaced_on_exit(path: Path) -> Iterator[Path]:
 def note_unfinished(path: Path) -> None:
     """Have a file removed by ``remove_unfinished``."""
     _UNFINISHED.add(path)
-
-
-def forget_unfinished(path: Path) -> None:
-    """Undo ``note_unfinished``."""
-    _UNFINISHED.discard(path)
 
 
 def remove_unfinished() -> None:
@@ -233,7 +228,7 @@ def held_output(path: Path) -> Iterator[None]:
         remove_abandoned(path.parent)
         yield
     finally:
-        forget_unfinished(lock)
+        _UNFINISHED.discard(lock)
         with suppress(OSError):
             # Of a folder that can no longer be written to, nothing can be removed.
             lock.unlink(missing_ok=True)

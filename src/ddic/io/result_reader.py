@@ -14,28 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import (
-    READ_ERRORS,
-    describe_damage,
-    open_hdf5,
-    read_array,
-    require_sound_attributes,
-    require_sound_fields,
-    require_sound_ids,
-    require_sound_pieces,
-    require_sound_products,
-    require_sound_tables,
-    require_sound_values,
-)
+from ddic.io.damaged_result import READ_ERRORS, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import as_path, require_file
-from ddic.io.mesh_file import to_meshio, to_pyvista
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
 from ddic.separated.field import LineElements, SeparatedField
 
-GRID = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Offsets", "Connectivity", "Types")
+Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
 
 SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
@@ -77,18 +66,18 @@ class Result:
 
     path: Path
     mesh: Mesh
-    displacement: NDArray[np.float64]
-    point_data: Mapping[str, NDArray[Any]]
-    cell_data: Mapping[str, NDArray[Any]]
+    displacement: Array
+    point_data: Arrays
+    cell_data: Arrays
     subdomain_ids: NDArray[np.int64]
-    gauss_newton: Mapping[str, NDArray[Any]]
-    krylov: tuple[NDArray[np.float64], ...]
+    gauss_newton: Arrays
+    krylov: tuple[Array, ...]
     attributes: Mapping[str, Mapping[str, Any]]
     flipped: bool
-    corrections: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    corrections: Arrays = field(default_factory=dict)
     separated: SeparatedField | None = None
     failure: str = ""
-    phases: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    phases: Arrays = field(default_factory=dict)
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -107,7 +96,7 @@ class Result:
         return len(np.unique(self.subdomain_ids))
 
     @property
-    def fields(self) -> Mapping[str, NDArray[Any]]:
+    def fields(self) -> Arrays:
         """All fields by name, those at the nodes first: (n,) scalars, (n, 2) vectors, (n, 6) symmetric tensors."""
         fields = {**self.point_data, **self.cell_data}
         for name, values in fields.items():
@@ -120,7 +109,7 @@ class Result:
         """Whether each node has a displacement, (n_nodes,): those whose cells all were excluded have nan."""
         return np.asarray(np.isfinite(self.displacement).all(axis=1))
 
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array) -> Array:
         """Interpolate the displacement by the shape functions of the cell that holds a point, or sum its products.
 
         Parameters
@@ -147,29 +136,52 @@ class Result:
         return interpolate(self.mesh, self.displacement, positions)
 
     def to_meshio(self) -> Any:
-        """Make a meshio mesh with all fields.
+        """Make a meshio mesh with all fields, whose ``write`` knows some forty formats.
 
         Returns
         -------
         meshio.Mesh
-            Pixels, y down; vectors of three components; a block of cells for each cell type.
+            Pixels, y down; vectors of three components; a block of cells for each cell type, so that cells and their
+            data are sorted by type where the mesh mixes them.
         """
-        return to_meshio(self.mesh, self.point_data, self.cell_data)
+        import meshio
+
+        blocks = self.mesh.cell_blocks
+        return meshio.Mesh(
+            self._points_in_space,
+            [(block.type.meshio_name, block.nodes) for block in blocks],
+            point_data=dict(self.point_data),
+            cell_data={name: [values[block.cells] for block in blocks] for name, values in self.cell_data.items()},
+        )
 
     def to_pyvista(self) -> Any:
-        """Make a PyVista grid with all fields.
+        """Make a PyVista grid with all fields, to look at in a notebook.
 
         Returns
         -------
         pyvista.UnstructuredGrid
-            Pixels, y down; vectors of three components.
+            Pixels, y down; vectors of three components; cells in the mesh's order.
 
         Raises
         ------
         InputError
             Where PyVista is not installed.
         """
-        return to_pyvista(self.mesh, self.point_data, self.cell_data)
+        try:
+            import pyvista
+        except ImportError as error:
+            raise InputError("PyVista is not installed here: pip install pyvista") from error
+        # VTK's list of cells: the number of a cell's nodes, then its nodes, cell after cell.
+        cells = np.insert(self.mesh.connectivity, self.mesh.offsets[:-1], np.diff(self.mesh.offsets))
+        grid = pyvista.UnstructuredGrid(cells, self.mesh.types, self._points_in_space)
+        grid.point_data.update(self.point_data)
+        grid.cell_data.update(self.cell_data)
+        return grid
+
+    @property
+    def _points_in_space(self) -> Array:
+        """Nodes with the coordinates that the mesh does not have set to 0, (n_nodes, 3)."""
+        return np.pad(self.mesh.nodes, ((0, 0), (0, 3 - self.mesh.dim)))
 
     @cached_property
     def residual_image(self) -> NDArray[np.float32] | None:
@@ -224,7 +236,7 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
                          ) from error
 
 
-def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def displacement_at(result: Result, points: Array) -> Array:
     """Guess the displacement of a result anywhere, to start another run from it; (n, 2), pixels.
 
     ``Result.at`` is the displacement that was measured; this is a number everywhere, in holes, outside and about nodes
@@ -237,7 +249,7 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     is_measured = result.measured_nodes
     nodes, displacement = result.mesh.nodes[is_measured], result.displacement[is_measured]
     distance, nearest = build_tree(nodes).query(points)
-    values: NDArray[np.float64] = displacement[nearest]
+    values: Array = displacement[nearest]
     apart = distance > SAME_NODE_PX
     if apart.any():
         between = result.at(points[apart])
@@ -248,8 +260,7 @@ def displacement_at(result: Result, points: NDArray[np.float64]) -> NDArray[np.f
     return values
 
 
-def evaluate_on_sides(result: Result, points: NDArray[np.float64],
-                      beyond: NDArray[np.float64]) -> NDArray[np.float64]:
+def evaluate_on_sides(result: Result, points: Array, beyond: Array) -> Array:
     """Guess the displacement of a result at points beyond a discontinuity, from other points on their own side of it.
 
     ``points``, (n, 2), lie on the side that is asked for, pixels of the reference image; ``beyond``, (n, 2), is where
@@ -266,6 +277,26 @@ def evaluate_on_sides(result: Result, points: NDArray[np.float64],
     gradient = np.einsum("nac,naj->ncj", result.displacement[nodes], slopes[:, :nodes.shape[1]])
     values[away] += np.einsum("ncj,nj->nc", gradient, beyond[away] - points[away])
     return values
+
+
+def require_known_displacement(result: Result) -> None:
+    """Refuse a result to start from that lacks displacements where it measured them.
+
+    Raises InputError where nothing was measured, or a node has no displacement although pixels of its cells count.
+    """
+    if not result.measured_nodes.any():
+        raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
+    if schema.parse_case(result.attributes).get("discontinuity"):
+        # Where a line parts cells, pixels of a node's cells may say nothing of one of its sides.
+        return
+    n_cells = result.mesh.n_cells
+    n_pixels = result.cell_data.get(schema.RESIDUAL_N_PIXELS, np.zeros(n_cells))
+    counts = (n_pixels > 0) & (result.cell_data.get(schema.EXCLUDED, np.zeros(n_cells)) == 0)
+    nodes = result.mesh.connectivity[np.repeat(counts, np.diff(result.mesh.offsets))]
+    n_unknown = len(np.unique(nodes[~result.measured_nodes[nodes]]))
+    if n_unknown:
+        raise InputError(f"{result.path}: damaged: {n_unknown} nodes of cells that were measured have no displacement; "
+                         "run ddic again")
 
 
 def check_schema(path: Path, file: Any) -> None:
@@ -286,33 +317,33 @@ def check_schema(path: Path, file: Any) -> None:
                          "use the ddic version that wrote it")
 
 
-def read_open_file(path: Path, file: Any) -> Result:
+def read_open_file(path: Path, file: Any, *, with_image: bool = False) -> Result:
     """Join the pieces of an open file to a result.
 
-    ``path`` is its name; an empty one is that of a file in memory, whose residual image is read at once.
+    ``path`` is what it is called, empty for what is only in memory. ``with_image`` reads the residual image at once, of
+    a file that cannot be opened again for it.
     """
-    flipped = str(file.attrs["y_axis"]) == "up"
-    grid = {name: read_array(file[schema.VTKHDF][name]) for name in GRID}
+    flipped = schema.is_flipped(file)
+    grid = {name: read_array(file[schema.VTKHDF][name]) for name in schema.TOPOLOGY}
     points = _unflipped(read_array(file[schema.VTKHDF]["Points"]), flipped)
     point_data = _fields(file[schema.POINT_DATA], flipped)
     cell_data = _fields(file[schema.CELL_DATA], flipped)
-    require_sound_pieces(grid, len(points))
-    require_sound_fields({"Points": points, **point_data}, len(points))
-    require_sound_fields(cell_data, len(grid["Types"]))
-    require_sound_ids(point_data, cell_data)
-    merged = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID], cell_data[schema.GLOBAL_CELL_ID])
-    at_nodes = {name: values[merged.points] for name, values in point_data.items()}
-    on_cells = {name: values[merged.cells] for name, values in cell_data.items()}
+    damage.require_sound_pieces(grid, points, point_data, cell_data)
+    mesh, point_rows, cell_rows = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID],
+                                               cell_data[schema.GLOBAL_CELL_ID])
+    at_nodes = {name: values[point_rows] for name, values in point_data.items()}
+    on_cells = {name: values[cell_rows] for name, values in cell_data.items()}
     displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
-    require_sound_values(merged.mesh, displacement)
-    attributes = {name: dict(file[name].attrs) for name in file if schema.has_attributes(name)}
-    require_sound_attributes(attributes)
+    damage.require_sound_values(mesh, displacement)
+    attributes = {name: dict(file[name].attrs) for name in file
+                  if name in schema.ATTRIBUTE_GROUPS or name.startswith(schema.NEAR_PREFIX)}
+    damage.require_sound_attributes(attributes)
     tables = {group: _arrays(file, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
                                                         schema.PHASES)}
-    require_sound_tables(tables)
+    damage.require_sound_tables(tables)
     result = Result(
         path=path,
-        mesh=merged.mesh,
+        mesh=mesh,
         displacement=displacement,
         point_data=at_nodes,
         cell_data=on_cells,
@@ -326,7 +357,7 @@ def read_open_file(path: Path, file: Any) -> Result:
         failure=str(file.attrs.get(schema.FAILURE, "")),
         phases=tables[schema.PHASES],
     )
-    if path == Path():
+    if with_image:
         # What is computed at first use may also be put in place, whatever the class is frozen for.
         result.__dict__["residual_image"] = _read_residual_image(file)
     return result
@@ -337,7 +368,7 @@ def _read_separated(file: Any) -> SeparatedField | None:
     data = _arrays(file, schema.SEPARATED)
     if not data:
         return None
-    require_sound_products(data)
+    damage.require_sound_products(data)
     along_x, along_y = LineElements(data["nodes_x"]), LineElements(data["nodes_y"])
     return SeparatedField(along_x, along_y, data["amplitudes"], data["x"], data["y"])
 
@@ -352,42 +383,25 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     return image.astype(np.float32, copy=False)
 
 
-@dataclass(frozen=True)
-class MergedPieces:
-    """The pieces of a file as one mesh.
+def merge_pieces(grid: Arrays, points: Array, global_node_ids: NDArray[np.int64],
+                 global_cell_ids: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.intp], NDArray[np.intp]]:
+    """Merge the pieces of a file to one mesh, nodes and cells in the order of their numbers in the whole mesh.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Nodes and cells in the order of their numbers in the whole mesh.
-    points, cells : (n_nodes,) and (n_cells,) array
-        Row of each node among the points, and of each cell among the cells, of the pieces.
-    """
-
-    mesh: Mesh
-    points: NDArray[np.intp]
-    cells: NDArray[np.intp]
-
-
-def merge_pieces(grid: Mapping[str, NDArray[Any]], points: NDArray[np.float64], global_node_ids: NDArray[np.int64],
-                 global_cell_ids: NDArray[np.int64]) -> MergedPieces:
-    """Merge the pieces of a file to one mesh, and tell where its nodes and cells stand in the file.
-
-    ``grid`` is the geometry of the file by name; ``points``, (n_points, 3), are those of all pieces with the axes
+    ``grid`` is the topology of the file by name; ``points``, (n_points, 3), are those of all pieces with the axes
     wanted, pixels. The ids, (n_points,) and (n_cells,), are numbers of each point's node and of each cell in the whole
-    mesh.
+    mesh. Beside the mesh come the row of each node among the points, (n_nodes,), and of each cell among the cells,
+    (n_cells,).
     """
     # Interface nodes stand in every piece that has them, all copies with the same values.
     first_copy = np.unique(global_node_ids, return_index=True)[1]
     node_ids = np.searchsorted(global_node_ids[first_copy], global_node_ids)
     order = np.argsort(global_cell_ids, kind="stable")
-    return MergedPieces(_merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order)
+    return _merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order
 
 
-def _merge_mesh(grid: Mapping[str, NDArray[Any]], nodes: NDArray[np.float64], node_ids: NDArray[np.int64],
-                order: NDArray[np.intp]) -> Mesh:
+def _merge_mesh(grid: Arrays, nodes: Array, node_ids: NDArray[np.int64], order: NDArray[np.intp]) -> Mesh:
     """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
-    n_points, n_cells, n_ids = (grid[name] for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"))
+    n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     offsets, connectivity = grid["Offsets"], grid["Connectivity"]
     connectivity = node_ids[connectivity + np.repeat(np.cumsum(n_points) - n_points, n_ids)]
     # Each piece has n_cells + 1 offsets: all but its last are the starts of its cells.
@@ -403,12 +417,12 @@ def _merge_mesh(grid: Mapping[str, NDArray[Any]], nodes: NDArray[np.float64], no
 
 def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
     """All datasets of a group, y down."""
-    return {name: _unflipped(read_array(data), flipped and _has_axes_of_image(data)) for name, data in group.items()}
-
-
-def _has_axes_of_image(data: Any) -> bool:
-    """Whether a field has the image's axes; before schema 1.4 all were written as if they had."""
-    return str(data.attrs.get("axes", schema.AXES_OF_IMAGE)) == schema.AXES_OF_IMAGE
+    fields = {}
+    for name, data in group.items():
+        # Before schema 1.4 all were written as if they had the image's axes.
+        axes = str(data.attrs.get("axes", schema.AXES_OF_IMAGE))
+        fields[name] = _unflipped(read_array(data), flipped and axes == schema.AXES_OF_IMAGE)
+    return fields
 
 
 def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:

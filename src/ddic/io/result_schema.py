@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,12 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ddic.separated.field import SeparatedField
-
 SCHEMA_VERSION = "1.7"
+VERSION, Y_AXIS = OF_FORMAT = "ddic_schema", "y_axis"
 VTKHDF_VERSION = (2, 0)
 
 VTKHDF = "VTKHDF"
+PIECES = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds")
+TOPOLOGY = (*PIECES, "Connectivity", "Offsets", "Types")
+"""Datasets that, with the places of the points, are a mesh in pieces; the first ones have a number a piece."""
+
 POINT_DATA = "VTKHDF/PointData"
 CELL_DATA = "VTKHDF/CellData"
 RESIDUAL_IMAGE = "residual_image"
@@ -29,7 +34,7 @@ CASE = "case"
 PROVENANCE = "provenance"
 TIME = "time"
 UNITS = "units"
-STATUS, FAILURE = "status", "failure"
+STATUS, FAILURE = OF_STATUS = "status", "failure"
 CONVERGED, NOT_CONVERGED = "converged", "not converged"
 SHOWS = "shows"
 NOISE_FLOOR = "noise_floor_px"
@@ -50,6 +55,7 @@ STRAIN_GREEN_LAGRANGE = "strain_green_lagrange"
 NODAL_INFINITESIMAL = "nodal_strain_infinitesimal"
 NODAL_GREEN_LAGRANGE = "nodal_strain_green_lagrange"
 NODAL_HENCKY = "nodal_strain_hencky"
+NODAL_STRAINS = {"infinitesimal": NODAL_INFINITESIMAL, "green-lagrange": NODAL_GREEN_LAGRANGE, "hencky": NODAL_HENCKY}
 NODAL_PRINCIPAL_1 = "nodal_principal_strain_1"
 NODAL_PRINCIPAL_2 = "nodal_principal_strain_2"
 NODAL_VON_MISES = "nodal_von_mises_strain"
@@ -69,7 +75,8 @@ it off."""
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"
-TENSOR_COMPONENTS = ("XX", "YY", "ZZ", "XY", "YZ", "XZ")
+IN_THE_PLANE = {"xx": 0, "yy": 1, "xy": 3}
+"""Places of the components in the plane among the file's XX, YY, ZZ, XY, YZ, XZ."""
 
 
 @dataclass(frozen=True)
@@ -183,28 +190,40 @@ def list_all_fields() -> tuple[FieldSpec, ...]:
             *uncertainty_cell_fields())
 
 
-def describe_separated(field: SeparatedField) -> dict[str, tuple[NDArray[np.float64], str, str]]:
-    """List the datasets of a separated displacement by name: values, unit, description."""
-    return {
-        "nodes_x": (field.along_x.nodes, "px", "nodes of the functions of x"),
-        "nodes_y": (field.along_y.nodes, "px", "nodes of the functions of y, down"),
-        "amplitudes": (field.amplitudes, "px", "RMS displacement of each mode (n_modes, 2), of u_x and of u_y"),
-        "x": (field.x, "1", "functions of x at their nodes (n_modes, 2, n_x), of mean square 1"),
-        "y": (field.y, "1", "functions of y at their nodes (n_modes, 2, n_y), of mean square 1"),
-    }
+def begin_file(file: Any, *, flipped: bool) -> None:
+    """Note by which schema a file is written, and whether its y is up (``flipped``) or down."""
+    file.attrs[VERSION] = SCHEMA_VERSION
+    file.attrs[Y_AXIS] = "up" if flipped else "down"
+
+
+def is_flipped(file: Any) -> bool:
+    """Tell whether y is up in a file."""
+    return str(file.attrs[Y_AXIS]) == "up"
+
+
+def copy_attributes(source: Any, target: Any, names: Iterable[str]) -> None:
+    """Copy some attributes of a group to another one."""
+    for name in names:
+        target.attrs[name] = source.attrs[name]
+
+
+def create_vtk_group(file: Any, kind: str) -> Any:
+    """Create the group that VTK reads, an ``UnstructuredGrid`` or ``ImageData``, and return it."""
+    group = file.create_group(VTKHDF)
+    group.attrs["Version"] = np.array(VTKHDF_VERSION, np.int64)
+    # VTK's reader wants fixed-length ASCII here, not h5py's variable-length UTF-8.
+    group.attrs.create("Type", np.bytes_(kind))
+    return group
+
+
+def parse_case(attributes: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Parse the case that stands among the attributes of a result: sections by name, of keys by name."""
+    return json.loads(str(attributes.get(CASE, {}).get("json", "{}")))
 
 
 def near_group(camera: int) -> str:
     """Name the group with what is known of a near-field set-up, numbered from 1: ``near_1``, ``near_2``, ..."""
     return f"{NEAR_PREFIX}{camera}"
-
-
-def has_attributes(group: str) -> bool:
-    """Tell whether a group's attributes are part of the result.
-
-    Those of ATTRIBUTE_GROUPS and of near-field set-ups are.
-    """
-    return group in ATTRIBUTE_GROUPS or group.startswith(NEAR_PREFIX)
 
 
 def residual_group(camera: int) -> str:
@@ -261,6 +280,11 @@ def sidecar_path(path: Path, camera: int = 0) -> Path:
 def physical_path(result: Path) -> Path:
     """Name the file that shows a result in its length unit, beside it: NAME.physical.vtkhdf."""
     return result.with_name(f"{result.stem}.physical.vtkhdf")
+
+
+def pick_in_the_plane(tensors: NDArray[Any]) -> NDArray[Any]:
+    """Pick xx, yy, xy, (n, 3), of symmetric tensors as the file has them, (n, 6)."""
+    return tensors[:, list(IN_THE_PLANE.values())]
 
 
 def flip_components(values: NDArray[Any]) -> NDArray[Any]:

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import h5py
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import ChunkGrid, NewHdf5
+from ddic.io.hdf5_stream import ChunkGrid, new_hdf5
 from ddic.io.replace_on_exit import NewFiles, replaced_together
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
 from ddic.io.sidecars import write_physical_sidecar, write_sidecar
 from ddic.separated.field import SeparatedField
 
+Arrays = Mapping[str, NDArray[Any]]
+
 CHUNK_CACHE_BYTES = 64 << 20
 
 
-@dataclass(frozen=True)
-class PieceSize:
+class PieceSize(NamedTuple):
     """Sizes of a subdomain's piece.
 
     Attributes
@@ -61,18 +62,8 @@ class Piece:
     connectivity: NDArray[np.int64]
     offsets: NDArray[np.int64]
     types: NDArray[np.uint8]
-    point_data: Mapping[str, NDArray[Any]]
-    cell_data: Mapping[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class _Pieces:
-    """The pieces announced: sizes, where each begins in (points, cells, connectivity), and their fields."""
-
-    sizes: tuple[PieceSize, ...]
-    starts: NDArray[np.int64]
-    point_fields: tuple[FieldSpec, ...]
-    cell_fields: tuple[FieldSpec, ...]
+    point_data: Arrays
+    cell_data: Arrays
 
 
 class ResultWriter:
@@ -96,19 +87,18 @@ class ResultWriter:
         self._path = path
         self._flip_y = flip_y
         self._files = files
-        self._on_disk: NewHdf5 | None = None
-        self._pieces: _Pieces | None = None
-        self._fields: dict[str, Any] = {}
+        # What lies before each of the announced pieces, and at last all of them.
+        self._starts: list[PieceSize] = []
+        # Datasets of the fields at the points and on the cells, beside what they are.
+        self._fields: dict[str, list[tuple[FieldSpec, Any]]] = {}
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
-        self._has_units = False
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._file = self._open(stack)
-            self._file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
-            self._file.attrs["y_axis"] = "up" if self._flip_y else "down"
+            self._file, self._require_written = self._open(stack)
+            schema.begin_file(self._file, flipped=self._flip_y)
             self._stack = stack.pop_all()
         return self
 
@@ -129,7 +119,7 @@ class ResultWriter:
             files.remove_old(schema.sidecar_path(path))
         for camera, grid in enumerate(self._grids):
             write_sidecar(path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y, files=files)
-        if self._has_physical_units():
+        if schema.UNITS in self._file and schema.DISPLACEMENT_PHYSICAL in self._file.get(schema.POINT_DATA, ()):
             write_physical_sidecar(path, self._file, files)
         else:
             files.remove_old(schema.physical_path(path))
@@ -137,7 +127,7 @@ class ResultWriter:
     def read_back(self) -> Result:
         """Read what was written, with the residual image, to memory while the file is open."""
         self._refuse_missing_pieces()
-        return read_open_file(Path() if self._path is None else self._path, self._file)
+        return read_open_file(self._path or Path(), self._file, with_image=self._path is None)
 
     def read_image(self) -> bytes:
         """Read the content of a file in memory, as it would be on the disk."""
@@ -148,10 +138,19 @@ class ResultWriter:
     def create_pieces(self, sizes: Sequence[PieceSize], point_fields: Sequence[FieldSpec],
                       cell_fields: Sequence[FieldSpec]) -> None:
         """Make room for a mesh in pieces of these sizes, all of them, and for the fields that every piece brings."""
-        counts = np.array([(s.n_points, s.n_cells, s.n_connectivity) for s in sizes], np.int64).reshape(-1, 3)
-        starts = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
-        self._pieces = _Pieces(tuple(sizes), starts, tuple(point_fields), tuple(cell_fields))
-        self._create_grid(self._pieces)
+        counts = np.array(sizes, np.int64).reshape(-1, 3)
+        self._starts = [PieceSize(*row) for row in np.cumsum([(0, 0, 0), *counts], axis=0).tolist()]
+        total = self._starts[-1]
+        group = schema.create_vtk_group(self._file, "UnstructuredGrid")
+        for name, of_pieces in zip(schema.PIECES, counts.T, strict=True):
+            group[name] = of_pieces
+        _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
+        _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
+        # Each piece has one offset more than cells.
+        _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
+        _create(group, "Types", total.n_cells, 1, np.uint8)
+        self._create_fields(schema.POINT_DATA, point_fields, total.n_points)
+        self._create_fields(schema.CELL_DATA, cell_fields, total.n_cells)
 
     def write_pieces(self, indices: range, pieces: Piece) -> None:
         """Write the mesh and fields of some pieces that follow each other.
@@ -159,13 +158,12 @@ class ResultWriter:
         ``indices`` are their numbers, ``pieces`` is all of them joined to one (``join_pieces``). Raises ValueError if
         one was written before, or if the arrays do not have the announced shapes.
         """
-        if self._pieces is None:
+        if not self._starts:
             raise ValueError("create_pieces comes before write_pieces")
         again = sorted(self._written.intersection(indices))
         if again:
             raise ValueError(f"pieces {again} were written before")
-        announced = self._pieces
-        start, stop = _start_of(announced, indices.start), _start_of(announced, indices.stop)
+        start, stop = self._starts[indices.start], self._starts[indices.stop]
         n_points, n_cells = stop.n_points - start.n_points, stop.n_cells - start.n_cells
         for what, found, expected in (("points", len(pieces.points), n_points),
                                       ("types", len(pieces.types), n_cells),
@@ -180,8 +178,8 @@ class ResultWriter:
         _put(group["Connectivity"], start.n_connectivity, pieces.connectivity)
         _put(group["Offsets"], start.n_cells + indices.start, pieces.offsets)
         _put(group["Types"], start.n_cells, pieces.types)
-        self._write_fields(schema.POINT_DATA, announced.point_fields, pieces.point_data, start.n_points, n_points)
-        self._write_fields(schema.CELL_DATA, announced.cell_fields, pieces.cell_data, start.n_cells, n_cells)
+        self._write_fields(schema.POINT_DATA, pieces.point_data, start.n_points, n_points)
+        self._write_fields(schema.CELL_DATA, pieces.cell_data, start.n_cells, n_cells)
         self._require_written()
         self._written.update(indices)
 
@@ -191,8 +189,7 @@ class ResultWriter:
         data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", (grid.height, grid.width),
                                          "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
                                          shuffle=True, fillvalue=np.nan)
-        data.attrs["unit"] = "grey level"
-        data.attrs["description"] = "f(x) - g(x + u), NaN where not correlated; rows go down"
+        data.attrs.update(unit="grey level", description="f(x) - g(x + u), NaN where not correlated; rows go down")
         self._file[group].attrs["origin"] = np.zeros(2)
         self._grids.append(grid)
         self._residual = data.id
@@ -216,17 +213,15 @@ class ResultWriter:
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         if len({len(array) for array in arrays.values()}) > 1:
             raise ValueError(f"{group}: columns of different lengths")
-        target = self._file.require_group(group)
-        for name, array in arrays.items():
-            target[name] = array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
+        self.write_arrays(group, {name: array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
+                                  for name, array in arrays.items()})
 
     def write_curves(self, group: str, curves: Sequence[Sequence[float] | NDArray[np.float64]]) -> None:
         """Write arrays of different lengths as datasets 0000, 0001, ..."""
-        target = self._file.require_group(group)
-        for number, curve in enumerate(curves):
-            target[f"{number:04d}"] = np.asarray(curve, np.float64)
+        self.write_arrays(group, {f"{number:04d}": np.asarray(curve, np.float64)
+                                  for number, curve in enumerate(curves)})
 
-    def write_arrays(self, group: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def write_arrays(self, group: str, arrays: Arrays) -> None:
         """Write arrays by name as they are, of any shapes."""
         target = self._file.require_group(group)
         for name, values in arrays.items():
@@ -235,17 +230,19 @@ class ResultWriter:
     def write_separated(self, field: SeparatedField) -> None:
         """Write the products that a displacement is a sum of, in the image's axes whatever the mesh's are."""
         target = self._file.require_group(schema.SEPARATED)
-        for name, (values, unit, description) in schema.describe_separated(field).items():
+        for name, values, unit, description in (
+            ("nodes_x", field.along_x.nodes, "px", "nodes of the functions of x"),
+            ("nodes_y", field.along_y.nodes, "px", "nodes of the functions of y, down"),
+            ("amplitudes", field.amplitudes, "px", "RMS displacement of each mode (n_modes, 2), of u_x and of u_y"),
+            ("x", field.x, "1", "functions of x at their nodes (n_modes, 2, n_x), of mean square 1"),
+            ("y", field.y, "1", "functions of y at their nodes (n_modes, 2, n_y), of mean square 1"),
+        ):
             target[name] = values
-            target[name].attrs["unit"] = unit
-            target[name].attrs["description"] = description
+            target[name].attrs.update(unit=unit, description=description)
 
     def write_attributes(self, group: str, values: Mapping[str, Any]) -> None:
         """Write attributes of a group, which is made where there is none: texts, numbers or lists of them by name."""
-        target = self._file.require_group(group)
-        for name, value in values.items():
-            target.attrs[name] = value
-        self._has_units |= group == schema.UNITS
+        self._file.require_group(group).attrs.update(values)
 
     def write_status(self, failure: str) -> None:
         """Write whether the field converged, as attributes of the file.
@@ -255,76 +252,43 @@ class ResultWriter:
         self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
         self._file.attrs[schema.FAILURE] = failure
 
-    def _open(self, stack: ExitStack) -> h5py.File:
-        """The file under its temporary name, or in memory."""
+    def _open(self, stack: ExitStack) -> tuple[h5py.File, Callable[[], None]]:
+        """The file under its temporary name, or in memory.
+
+        Beside it comes what raises OSError where the disk has refused a part: what is still to come would be kept in
+        memory.
+        """
         if self._path is None:
-            return stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False))
+            return stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False)), lambda: None
         if self._files is None:
             self._files = stack.enter_context(replaced_together())
-        self._on_disk = stack.enter_context(NewHdf5(self._files.begin(self._path), CHUNK_CACHE_BYTES))
-        return self._on_disk.file
-
-    def _require_written(self) -> None:
-        """Raise OSError where the disk has refused a part: what is still to come would be kept in memory."""
-        if self._on_disk is not None:
-            self._on_disk.require_written()
+        return stack.enter_context(new_hdf5(self._files.begin(self._path), CHUNK_CACHE_BYTES))
 
     def _refuse_missing_pieces(self) -> None:
         """Raise where an announced piece has not been written."""
-        announced = 0 if self._pieces is None else len(self._pieces.sizes)
-        missing = sorted(set(range(announced)) - self._written)
+        missing = sorted(set(range(len(self._starts) - 1)) - self._written)
         if missing:
             raise ValueError(f"{self._path}: pieces {missing} were not written")
-
-    def _has_physical_units(self) -> bool:
-        """Whether displacements are written in a length unit, hence the size of a pixel is known."""
-        fields = () if self._pieces is None else self._pieces.point_fields
-        return self._has_units and any(field.name == schema.DISPLACEMENT_PHYSICAL for field in fields)
 
     def _oriented(self, values: NDArray[Any]) -> NDArray[Any]:
         """Vectors and tensors as the file has them."""
         return schema.flip_components(values) if self._flip_y else values
 
-    def _create_grid(self, pieces: _Pieces) -> None:
-        """Make room for the mesh and its fields."""
-        sizes = pieces.sizes
-        total = _start_of(pieces, len(sizes))
-        group = self._file.create_group(schema.VTKHDF)
-        group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
-        # VTK's reader wants fixed-length ASCII here, not h5py's variable-length UTF-8.
-        group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
-        counts_by_name = {
-            "NumberOfPoints": [s.n_points for s in sizes],
-            "NumberOfCells": [s.n_cells for s in sizes],
-            "NumberOfConnectivityIds": [s.n_connectivity for s in sizes],
-        }
-        for name, counts in counts_by_name.items():
-            _create(group, name, len(counts), 1, np.int64)[...] = counts
-        _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
-        _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
-        # Each piece has one offset more than cells.
-        _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
-        _create(group, "Types", total.n_cells, 1, np.uint8)
-        self._create_fields(schema.POINT_DATA, pieces.point_fields, total.n_points)
-        self._create_fields(schema.CELL_DATA, pieces.cell_fields, total.n_cells)
-
     def _create_fields(self, name: str, fields: Sequence[FieldSpec], length: int) -> None:
         """Make room for the fields of a group."""
         group = self._file.create_group(name)
+        self._fields[name] = []
         for field in fields:
             created = _create(group, field.name, length, field.n_components, field.dtype)
-            created.attrs["unit"] = field.unit
-            created.attrs["description"] = field.description
-            created.attrs["axes"] = field.axes
-            self._fields[f"{name}/{field.name}"] = created
+            created.attrs.update(unit=field.unit, description=field.description, axes=field.axes)
+            self._fields[name].append((field, created))
 
-    def _write_fields(self, group: str, fields: Sequence[FieldSpec], arrays: Mapping[str, NDArray[Any]],
-                      start: int, length: int) -> None:
+    def _write_fields(self, group: str, arrays: Arrays, start: int, length: int) -> None:
         """Write the fields of a group, rows from ``start`` on; they must be those announced."""
-        names = {field.name for field in fields}
+        names = {field.name for field, _ in self._fields[group]}
         if names != set(arrays):
             raise ValueError(f"{group}: fields {sorted(arrays)}, {sorted(names)} announced")
-        for field in fields:
+        for field, dataset in self._fields[group]:
             values = np.asarray(arrays[field.name])
             if field.n_components == schema.VECTOR:
                 values = _three_components(values)
@@ -332,12 +296,7 @@ class ResultWriter:
             if values.shape != expected:
                 raise ValueError(f"{group}/{field.name}: shape {values.shape}, {expected} announced")
             oriented = self._oriented(values) if field.axes == schema.AXES_OF_IMAGE else values
-            _put(self._fields[f"{group}/{field.name}"], start, oriented)
-
-
-def _start_of(pieces: _Pieces, index: int) -> PieceSize:
-    """Where a piece begins."""
-    return PieceSize(*(int(n) for n in pieces.starts[index]))
+            _put(dataset, start, oriented)
 
 
 def join_pieces(pieces: Sequence[Piece]) -> Piece:
@@ -348,7 +307,7 @@ def join_pieces(pieces: Sequence[Piece]) -> Piece:
     if len(pieces) == 1:
         return pieces[0]
 
-    def fields(all_of: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    def fields(all_of: Sequence[Arrays]) -> dict[str, NDArray[Any]]:
         return {name: np.concatenate([one[name] for one in all_of]) for name in all_of[0]}
 
     return Piece(np.concatenate([p.points for p in pieces]), np.concatenate([p.connectivity for p in pieces]),

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.damaged_result import open_hdf5
-from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
+from ddic.io.replace_on_exit import made_folder, remove_abandoned, replaced_on_exit
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,8 @@ class SeriesFolder:
             finished = self._read_whole(origin) if resume else {}
             if finished:
                 return finished
-            self._make(origin)
+            with made_folder(self.path), replaced_on_exit(self.path / ORIGIN) as temporary:
+                temporary.write_text(json.dumps(origin), encoding="utf-8")
             return {}
         remove_abandoned(self.path)
         self._require_same(origin)
@@ -102,15 +103,6 @@ class SeriesFolder:
             raise InputError(f"{self.path} holds {len(finished)} of {self.n_frames} frames of a series that was not "
                              "finished: go on with --resume, or remove the folder to begin anew")
         return finished
-
-    def _make(self, origin: Mapping[str, object]) -> None:
-        self.path.mkdir()
-        try:
-            with replaced_on_exit(self.path / ORIGIN) as temporary:
-                temporary.write_text(json.dumps(origin), encoding="utf-8")
-        except BaseException:
-            self.path.rmdir()
-            raise
 
     def _read_whole(self, origin: Mapping[str, object]) -> dict[int, str]:
         """Records of a series that an earlier run has finished; none where there is another file, or no file."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
 
@@ -24,6 +24,8 @@ from ddic.io.input_file import is_readable_file
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_covered_areas
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class SeriesResult:
     """
 
     path: Path
-    times: NDArray[np.float64]
+    times: Array
     numbers: NDArray[np.int64]
     records: tuple[Mapping[str, Any], ...]
 
@@ -67,17 +69,17 @@ class SeriesResult:
         return (self._read(step) for step in range(len(self)))
 
     def _read(self, step: int) -> Result:
-        with (opened_result(self.path) as (_, file),
-              h5py.File("frame", "w", driver="core", backing_store=False) as frame):
-            _extract(file, step, int(self.numbers[step]), frame)
-            result = read_open_file(Path(), frame)
-        floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
-                      if record["number"] == self.numbers[step]), None)
-        case = dict(result.attributes.get(schema.CASE, {}))
-        if floor is not None:
-            # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
-            case[schema.NOISE_FLOOR] = floor
-        return _name(result, self.path, {**result.attributes, schema.CASE: case})
+        with opened_result(self.path) as (_, file):
+            if schema.STEPS not in file:
+                return read_open_file(self.path, file)
+            with h5py.File("frame", "w", driver="core", backing_store=False) as frame:
+                _extract(file, step, int(self.numbers[step]), frame)
+                floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
+                              if record["number"] == self.numbers[step]), None)
+                if floor is not None:
+                    # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
+                    frame.require_group(schema.CASE).attrs[schema.NOISE_FLOOR] = floor
+                return read_open_file(self.path, frame, with_image=True)
 
 
 def is_series_file(path: Path) -> bool:
@@ -140,24 +142,17 @@ def _read_contents(path: Path, file: Any) -> SeriesResult:
 
 def _extract(file: Any, step: int, number: int, frame: Any) -> None:
     """Write a step as the result file of a pair has it."""
-    for key in ("ddic_schema", "y_axis"):
-        frame.attrs[key] = file.attrs[key]
-    if schema.STEPS not in file:
-        for name in file:
-            file.copy(name, frame)
-        frame.attrs.update(dict(file.attrs))
-        return
+    schema.copy_attributes(file, frame, schema.OF_FORMAT)
     rest = file[schema.frame_group(number)]
     for name in rest:
         rest.copy(name, frame)
-    for key in (schema.STATUS, schema.FAILURE):
-        frame.attrs[key] = rest.attrs[key]
+    schema.copy_attributes(rest, frame, schema.OF_STATUS)
     grid, steps, target = file[schema.VTKHDF], file[schema.STEPS], frame.create_group(schema.VTKHDF)
     part, n_parts = int(steps["PartOffsets"][step]), int(steps["NumberOfParts"][step])
     point, cell = int(steps["PointOffsets"][step]), int(steps["CellOffsets"][step, 0])
     connectivity = int(steps["ConnectivityIdOffsets"][step, 0])
     counts = {}
-    for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds"):
+    for name in schema.PIECES:
         target[name] = grid[name][part:part + n_parts]
         counts[name] = int(target[name][...].sum())
     n_points, n_cells = counts["NumberOfPoints"], counts["NumberOfCells"]
@@ -172,17 +167,6 @@ def _extract(file: Any, step: int, number: int, frame: Any) -> None:
             fields[name] = values[begin:begin + n]
             fields[name].attrs.update(dict(values.attrs))
 
-
-def _name(result: Result, path: Path, attributes: Mapping[str, Mapping[str, Any]]) -> Result:
-    """The same with its file's name, other attributes, and the residual image that it holds already."""
-    residual = result.residual_image
-    named = replace(result, path=path, attributes=attributes)
-    # A copy forgets what was computed at first use, and would look for it in the file of the series.
-    named.__dict__["residual_image"] = residual
-    return named
-
-
-Array = NDArray[np.float64]
 
 ROWS = 1 << 18
 """Nodes that are read at a time; a larger value takes more memory."""
@@ -200,7 +184,7 @@ def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
             displacement = stored[begin:begin + ROWS, :2]
             low = np.fmin(low, np.fmin.reduce(displacement))
             high = np.fmax(high, np.fmax.reduce(displacement))
-        if str(file.attrs["y_axis"]) == "up":
+        if schema.is_flipped(file):
             low[1], high[1] = -high[1], -low[1]
     return low, high
 
@@ -289,21 +273,12 @@ def read_frame(path: Path, number: int | None = None, asked_by: str = "--frame")
     series = read_series(path)
     if number is None:
         raise InputError(f"{path}: holds the frames {_list_numbers(series)} of a series; choose one by {asked_by}")
-    return pick_frame(series, number, asked_by)
-
-
-def pick_frame(series: SeriesResult, number: int, asked_by: str = "--frame") -> Result:
-    """Pick a frame of a series by its number, from 1; raises InputError where the series does not hold it.
-
-    ``asked_by`` is the option or key that gives the number, for messages.
-    """
     found = np.flatnonzero(series.numbers == number)
     if len(found):
         return series[int(found[0])]
     failures = [str(record["failure"]) for record in series.records if record["number"] == number]
     reason = f"was not measured ({failures[0].partition(';')[0]})" if failures else "is none of this series"
-    raise InputError(f"{asked_by} {number}: {series.path}: frame {number} {reason}; choose one of "
-                     f"{_list_numbers(series)}")
+    raise InputError(f"{asked_by} {number}: {path}: frame {number} {reason}; choose one of {_list_numbers(series)}")
 
 
 def read_frame_or_last(path: Path, number: int | None, asked_by: str = "--frame") -> tuple[Result, str]:

@@ -24,42 +24,31 @@ from ddic.io.text_files import write_json
 ROWS = 1 << 16
 """Points that are read at a time; a larger value takes memory."""
 
-SIZES = ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Connectivity", "Offsets", "Types")
 
-
-def write_physical_sidecar(result: Path, source: Any, files: NewFiles) -> Path:
-    """Write the file that shows a result in its length unit, NAME.physical.vtkhdf beside it, and return its name.
+def write_physical_sidecar(result: Path, source: Any, files: NewFiles) -> None:
+    """Write the file that shows a result in its length unit, NAME.physical.vtkhdf beside it.
 
     It holds the points alone: HDF5 external links lead to cells and fields in the result file, so both move together.
     Its field ``displacement`` is the result's ``displacement_physical``, and there is no other displacement: what is
     warped by it is the deformed specimen. ``source`` is the open content of the result file, with the size of a pixel
     in its units.
     """
-    path = schema.physical_path(result)
-    with new_hdf5(files.begin(path)) as file:
-        units, grid = source[schema.UNITS].attrs, source[schema.VTKHDF]
-        file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
-        file.attrs["y_axis"] = source.attrs["y_axis"]
+    with new_hdf5(files.begin(schema.physical_path(result))) as (file, _):
+        units = source[schema.UNITS].attrs
+        schema.begin_file(file, flipped=schema.is_flipped(source))
         file.attrs[schema.SHOWS] = result.name
-        group = file.create_group(schema.VTKHDF)
-        group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
-        group.attrs.create("Type", np.bytes_("UnstructuredGrid"))
-        for name in SIZES:
+        group = schema.create_vtk_group(file, "UnstructuredGrid")
+        for name in schema.TOPOLOGY:
             group[name] = _link(result, f"{schema.VTKHDF}/{name}")
-        _scale_points(grid["Points"], group, float(units["pixel_size"]))
-        group["Points"].attrs["unit"] = units["length_unit"]
+        points, factor = source[schema.VTKHDF]["Points"], float(units["pixel_size"])
+        scaled = group.create_dataset("Points", points.shape, points.dtype)
+        for begin in range(0, len(points), ROWS):
+            scaled[begin:begin + ROWS] = factor * points[begin:begin + ROWS]
+        scaled.attrs["unit"] = units["length_unit"]
         if schema.STEPS in source:
             group["Steps"] = _link(result, schema.STEPS)
         _link_fields(result, source[schema.POINT_DATA], group.create_group("PointData"))
         _link_fields(result, source[schema.CELL_DATA], group.create_group("CellData"))
-    return path
-
-
-def _scale_points(points: Any, group: Any, factor: float) -> None:
-    """Copy points some rows at a time, times a factor."""
-    scaled = group.create_dataset("Points", points.shape, points.dtype)
-    for begin in range(0, len(points), ROWS):
-        scaled[begin:begin + ROWS] = factor * points[begin:begin + ROWS]
 
 
 def _link_fields(result: Path, fields: Any, group: Any) -> None:
@@ -75,27 +64,22 @@ def _link(result: Path, name: str) -> h5py.ExternalLink:
     return h5py.ExternalLink(result.name, name)
 
 
-def write_sidecar(result: Path, camera: int = 0, *, width: int, height: int, flip_y: bool, files: NewFiles) -> Path:
-    """Write the ImageData file that shows a residual image of a result, named by ``sidecar_path``, and return its name.
+def write_sidecar(result: Path, camera: int, *, width: int, height: int, flip_y: bool, files: NewFiles) -> None:
+    """Write the ImageData file that shows a residual image of a result, named by ``sidecar_path``.
 
     It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together. ``camera``
     is 0 for the far camera, or the only one; then the near ones. ``width`` and ``height`` are those of the image,
     pixels. ``flip_y`` shows rows upwards (through VTKHDF's Direction, spacings being positive).
     """
-    path = schema.sidecar_path(result, camera)
-    with new_hdf5(files.begin(path)) as file:
-        file.attrs["ddic_schema"] = schema.SCHEMA_VERSION
-        file.attrs["y_axis"] = "up" if flip_y else "down"
-        group = file.create_group(schema.VTKHDF)
-        group.attrs["Version"] = np.array(schema.VTKHDF_VERSION, np.int64)
-        group.attrs.create("Type", np.bytes_("ImageData"))
+    with new_hdf5(files.begin(schema.sidecar_path(result, camera))) as (file, _):
+        schema.begin_file(file, flipped=flip_y)
+        group = schema.create_vtk_group(file, "ImageData")
         group.attrs["WholeExtent"] = np.array([0, width - 1, 0, height - 1, 0, 0], np.int64)
         group.attrs["Origin"] = np.zeros(3)
         group.attrs["Spacing"] = np.ones(3)
         group.attrs["Direction"] = np.diag([1.0, -1.0 if flip_y else 1.0, 1.0]).ravel()
         data = group.create_group("PointData")
-        data[schema.RESIDUAL] = h5py.ExternalLink(result.name, f"/{schema.residual_group(camera)}/{schema.RESIDUAL}")
-    return path
+        data[schema.RESIDUAL] = _link(result, f"/{schema.residual_group(camera)}/{schema.RESIDUAL}")
 
 
 def remove_result(result: Path) -> None:
@@ -141,10 +125,9 @@ def _write_moved_sidecar(sidecar: Path, target: Path, camera: int) -> None:
     """Write anew what leads to a residual image by the name of its file."""
     with open_hdf5(sidecar) as file:
         _, last_column, _, last_row, _, _ = file[schema.VTKHDF].attrs["WholeExtent"]
-        is_flipped = str(file.attrs["y_axis"]) == "up"
+        flip_y = schema.is_flipped(file)
     with replaced_together() as files:
-        write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=is_flipped,
-                      files=files)
+        write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=flip_y, files=files)
 
 
 def _has_length_unit(result: Path) -> bool:

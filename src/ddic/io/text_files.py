@@ -10,7 +10,6 @@ import json
 import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -54,24 +53,18 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """
     try:
         data = tomllib.loads(text)
+        problems = [f"{path}: {line}" for line in _list_unusable(data, "", 0)]
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     except RecursionError as error:
-        raise InputError(_describe_depth(path)) from error
+        raise InputError(f"{path}: lists or sections lie in one another more than {DEEPEST} levels deep; no key takes "
+                         "that") from error
     except ValueError as error:
         # Python refuses to convert such a number before TOML can.
         raise InputError(f"{path}: not valid TOML: a number of thousands of digits; write it as 1.5e3") from error
-    try:
-        problems = [f"{path}: {line}" for line in _list_unusable(data, "", 0)]
-    except RecursionError as error:
-        raise InputError(_describe_depth(path)) from error
     if problems:
         raise InputError(problems)
     return data
-
-
-def _describe_depth(path: Path) -> str:
-    return f"{path}: lists or sections lie in one another more than {DEEPEST} levels deep; no key takes that"
 
 
 def _list_unusable(value: Any, key: str, depth: int) -> Iterator[str]:
@@ -126,24 +119,8 @@ COLUMNS = ("x", "y", "u", "v")
 _SEPARATORS = ",;\t"
 
 
-@dataclass(frozen=True, eq=False)
-class PointTable:
-    """Displacements at points, as a file holds them.
-
-    Attributes
-    ----------
-    values : (n, 4) array
-        x, y, u, v.
-    rows : (n,) array of int64
-        Row of the file that each stands in, from 1.
-    """
-
-    values: NDArray[np.float64]
-    rows: NDArray[np.int64]
-
-
-def read_point_table(path: Path) -> PointTable:
-    """Read displacements at points, one at least, from a CSV file.
+def read_point_table(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read displacements at points, one at least, from a CSV file: x, y, u, v, (n, 4), and the row of each, from 1.
 
     A header row names the columns x, y, u and v, in any order, then comes a row for each point; separated by commas,
     semicolons or tabs. Empty rows are passed over. Raises InputError where the file is missing or holds something else,
@@ -160,7 +137,7 @@ def read_point_table(path: Path) -> PointTable:
     if len(rows) == 1:
         raise InputError(f"{path}: holds a header and no point; give a row x,y,u,v for each point, pixels")
     values = [_convert_row(path, number, row, places) for number, row in rows[1:]]
-    return PointTable(np.array(values), np.array([number for number, _ in rows[1:]], dtype=np.int64))
+    return np.array(values), np.array([number for number, _ in rows[1:]], dtype=np.int64)
 
 
 def _find_columns(path: Path, header: Sequence[str]) -> list[int]:

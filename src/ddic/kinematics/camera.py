@@ -111,9 +111,10 @@ class CameraSetup:
         return replace(self, motion="none")
 
     def move(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply the motion T to points Y of the specimen's frame, (n, 2), Eq. 20 of [BP17].
+        """Apply the motion T to points Y of the specimen's frame, (n, 2).
 
-        ``motion`` are its unknowns, (n_motion_unknowns,), pixels of the specimen's frame.
+        ``motion`` are its unknowns, (n_motion_unknowns,), pixels of the specimen's frame. Eq. 20 of [BP17] says
+        u_n = u_f - alpha: there it has the other sign, and no rotation.
         """
         if self.n_motion_unknowns == 0:
             return points
@@ -135,7 +136,7 @@ class CameraSetup:
         return np.asarray(self.centre + arms)
 
     def motion_columns(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Differentiate T by the motion's unknowns at rest: R of Eq. 20 of [BP17].
+        """Differentiate T by the motion's unknowns at rest: alpha's columns R, Boolean in Eq. 20 of [BP17].
 
         R is (2 n, n_motion_unknowns), no unit, at points Y of the specimen's frame, (n, 2).
         """

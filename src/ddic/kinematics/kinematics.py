@@ -167,7 +167,7 @@ class RegionKinematics(ABC):
 
     @abstractmethod
     def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Tell which unknowns have a controlled row of equilibrium: P of Eq. 11 of [BP17].
+        """Tell which unknowns have a controlled row of equilibrium: P of Eq. 9 of [BP17].
 
         Parameters
         ----------

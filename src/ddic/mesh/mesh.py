@@ -266,6 +266,12 @@ def pad_shapes(kind: CellType) -> NDArray[np.float64]:
     return padded
 
 
+def sum_about_nodes(mesh: Mesh, of_cells: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum numbers of cells, (n_cells,), over the cells about each node, (n_nodes,)."""
+    of_corners = np.repeat(of_cells, np.diff(mesh.offsets))
+    return np.asarray(np.bincount(mesh.connectivity, of_corners, mesh.n_nodes), dtype=np.float64)
+
+
 def pad_cells(mesh: Mesh) -> NDArray[np.int64]:
     """Pad the cells' nodes to (n_cells, 4): a cell with fewer repeats its first node, whose padded shape is zero."""
     cells = np.full((mesh.n_cells, N_MONOMIALS), -1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""FE-DIC and R-DIC by dual domain decomposition: the algorithm box of [BP17], for any number of cameras and frames.
+"""FE-DIC and R-DIC by dual domain decomposition: the algorithm of [BP17, Fig. 5], for any number of cameras and frames.
 
 Gauss-Newton on one frame, with operators and grey levels that fit what the frame shows of the specimen.
 """
@@ -8,12 +8,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ddic.errors import ConvergenceError, as_collective, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
+from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
@@ -27,7 +25,7 @@ from ddic.solvers.probing import estimate_response
 from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, KnownStart, find_start
 from ddic.visibility.exclusions import exclude, pull_held_cells
-from ddic.visibility.force_noise import measure_force_noise
+from ddic.visibility.noise_forces import measure_force_noise
 from ddic.visibility.see_frame import SeenFrame, see_start
 from ddic.visibility.solved_frame import (
     SETTLED,
@@ -43,13 +41,13 @@ MOST_LOOKS = 20
 """Times that a frame is looked at before it is given up."""
 
 
-def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[np.float64]], listener: Listener,
+def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, listener: Listener,
                 clock: PhaseClock, least_shown: float = 0.0) -> SolvedFrame:
     """Iterate from a start until neither the field nor what the frame shows of it changes; collective.
 
     The frame is looked at where the start puts it, where a field is roughly found, and where it is found; operators are
-    renewed where it asks for it. ``whole`` is of all pixels that the frame shows, cameras weighted; ``q`` is the start
-    of each owned subdomain, (n_unknowns,); ``least_shown`` is the share of the cells that it must show, any by default.
+    renewed where it asks for it. ``whole`` is of all pixels that the frame shows, cameras weighted; ``q`` is the start;
+    ``least_shown`` is the share of the cells that it must show, any by default.
     Raises ConvergenceError with the last SolvedFrame, SingularSubdomainError or FactorizationError, on all ranks.
     """
     with clock.phase(Phase.READ):
@@ -85,7 +83,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
         followed = model if model.follows else model.with_large_gradients(found.q)
         model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
         note_all(listener, renewed)
-        solved = SolvedFrame(solved.field, replace(found, q=list(solved.field.q)), seen, model,
+        solved = SolvedFrame(solved.field, replace(found, q=solved.field.q), seen, model,
                              (*solved.notes, *renewed))
         # Later, operators that take turns change how fast a field is found, not which.
         is_renewed = bool(renewed) and looks.number < SETTLED
@@ -97,12 +95,12 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: list[NDArray[
         "the masks and the start, or give a longer regularization.cut_off_wavelength", solved))
 
 
-def _use(model: ResidualModel, seen: SeenFrame, q: list[NDArray[np.float64]]) -> ResidualModel:
+def _use(model: ResidualModel, seen: SeenFrame, q: Field) -> ResidualModel:
     """What Gauss-Newton goes on with from where the frame was seen."""
     whole = replace(model, views=seen.whole.views, correction=seen.whole.correction, blurs=seen.whole.blurs)
     used = pull_held_cells(exclude(whole, seen.excluded), seen.excluded, q)
     is_changed = seen.excluded.is_any(used.team) or used.pulled is not None
-    return replace(used, known=None if is_changed else ([np.array(q_s) for q_s in q], seen.evaluation))
+    return replace(used, known=None if is_changed else (q, seen.evaluation))
 
 
 class DecomposedSession:
@@ -148,7 +146,7 @@ class DecomposedSession:
         self._found_first = search.share(found)
         note_all(listener, reference.notes)
         self.problem = WeightedProblem(team, reference, clock, factorize_now=first_frame is None)
-        self._start = FrameStart(team, search, self.problem, clock)
+        self._start = FrameStart(search, self.problem, clock)
 
     @property
     def n_assembled(self) -> int:
@@ -182,12 +180,12 @@ class DecomposedSession:
         if frame is self._first_frame:
             first_found, self._first_frame = self._found_first, None
         views = problem.open_frame(frame)
-        started = find_start(self._start, frame, views, first_found, start)
+        q, of_start = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
-        note_all(self._listener, started.notes)
-        notes = (*problem.reference.notes, *started.notes)
+        note_all(self._listener, of_start)
+        notes = (*problem.reference.notes, *of_start)
         with last_field_kept(self._clock, lambda *last: finish_measurement(problem, frame, notes, *last)):
-            solved = solve_frame(problem, model, started.q, self._listener, self._clock, least_shown)
+            solved = solve_frame(problem, model, q, self._listener, self._clock, least_shown)
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
         note_all(self._listener, measurement.notes[len(notes) + len(solved.notes):])

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, SolverSection
-from ddic.inputs.cameras import open_cameras, open_in_headers
+from ddic.inputs.cameras import open_cameras
 from ddic.inputs.inputs import Inputs
 from ddic.inputs.mesh_source import build_meshes
+from ddic.io.image_file import open_image
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
@@ -27,7 +28,7 @@ def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
     of the mesh that are chosen, (n_nodes,). Raises InputError or SingularSubdomainError where the case cannot be set
     up.
     """
-    cameras = open_cameras(case, open_in_headers)
+    cameras = open_cameras(case, open_image)
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height))
     return estimate_nodal_noise(inputs, sigma, nodes)

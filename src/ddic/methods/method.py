@@ -11,9 +11,10 @@ from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method
 from ddic.case.schema import Case
 from ddic.check.report import CheckReport
+from ddic.errors import Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame
-from ddic.inputs.inputs import Inputs, Problems
+from ddic.inputs.inputs import Inputs
 from ddic.inputs.start_points import StartPoints
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
@@ -100,7 +101,7 @@ class Method(Protocol):
         """
 
     def check(self, loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
-              problems: Problems) -> CheckReport:
+              problems: Problems) -> CheckReport | None:
         """Check what a case says beyond its images, start and output, which were checked before; on one rank.
 
         Parameters
@@ -116,13 +117,8 @@ class Method(Protocol):
 
         Returns
         -------
-        CheckReport
-            What is going to be measured.
-
-        Raises
-        ------
-        InputError
-            With the problems of all inputs, one line each, where there are any.
+        CheckReport or None
+            What is going to be measured; None where problems do not let it be said.
         """
 
     def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:

@@ -6,10 +6,13 @@ from typing import Self
 
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
-from ddic.check.report import check_separated_case
+from ddic.check.report import CheckReport, describe_rectangle
+from ddic.errors import InputError, Problems
+from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import check_number_of_ranks, choose_output_lines, find_rectangle_of_case
+from ddic.inputs.rectangle import build_rectangle, check_rectangle, choose_output_lines
+from ddic.inputs.start_points import StartPoints
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import Grid
@@ -20,6 +23,7 @@ from ddic.problem.separated_problem import prepare_separated_problem
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import last_field_kept
 from ddic.results.separated import SeparatedMeasurement, finish_separated
+from ddic.separated.band_sums import N_BANDS
 from ddic.separated.corrections import CorrectionRecord, correct_displacement
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
 
@@ -93,15 +97,26 @@ class SeparatedSession:
 class SuccessiveProducts:
     """A displacement that is a sum of products on a rectangle; a ``Method``."""
 
-    check = staticmethod(check_separated_case)
-
     def check_ranks(self, loaded: LoadedCase, n_ranks: int) -> None:
         """Refuse ranks that would have no band of rows."""
-        check_number_of_ranks(n_ranks)
+        if n_ranks > N_BANDS:
+            raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
+                             f"were started; start at most {N_BANDS}")
+
+    def check(self, loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
+              problems: Problems) -> CheckReport | None:
+        """Check the rectangle and what refers to it; whether it holds ``points`` is not asked."""
+        if reference is None:
+            return None
+        with problems.gathered(loaded.path):
+            rectangle = build_rectangle(loaded.case)
+            check_rectangle(loaded.case, rectangle, reference.width, reference.height)
+            return describe_rectangle(loaded.case, reference, rectangle)
+        return None
 
     def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
         """Build the mesh of the result, since elements may be single pixels."""
-        grid = Grid(*choose_output_lines(case, find_rectangle_of_case(case)))
+        grid = Grid(*choose_output_lines(case, build_rectangle(case)))
         return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
 
     def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,

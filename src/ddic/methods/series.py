@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ddic.case.frame_files import list_cameras, list_deformed, list_times
 from ddic.case.loader import LoadedCase
+from ddic.case.named_files import list_cameras, list_deformed, list_times
 from ddic.errors import ConvergenceError, DdicError, StoppedError, as_collective, is_collective
 from ddic.inputs.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.io import result_schema as schema

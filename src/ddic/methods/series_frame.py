@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.frame_files import list_times
+from ddic.case.named_files import list_times
 from ddic.errors import ConvergenceError, DdicError, SingularSubdomainError, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import FrameOpener, Inputs, inputs_kept
@@ -70,7 +70,7 @@ class MeasuredState:
     ----------
     time : float
         Of the earlier frame, unit chosen by the user.
-    q : list of (n_unknowns,) array
+    q : sequence of (n_unknowns,) array
         Unknowns of owned subdomains since the first reference image.
     shown_share : float
         Share of the cells that were seen where the field put them.
@@ -79,7 +79,7 @@ class MeasuredState:
     """
 
     time: float
-    q: list[Array]
+    q: Sequence[Array]
     shown_share: float
     holds_back: bool
 
@@ -101,7 +101,7 @@ def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> li
                           state.holds_back) for state in states]
 
 
-def choose_start(wanted: str, states: Sequence[MeasuredState], time: float) -> tuple[str, list[Array] | None]:
+def choose_start(wanted: str, states: Sequence[MeasuredState], time: float) -> tuple[str, Sequence[Array] | None]:
     """Choose what a frame starts from of those before it: its name, and unknowns of owned subdomains.
 
     These are None where it is to be searched for. ``wanted`` is ``series.start`` of the case; ``states`` are those of

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +120,7 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     """Cut a mesh and its unknowns into self-contained subdomains, all of them, by number.
 
     ``parts`` is the subdomain of each cell, 0 to n - 1 without gaps; ``controlled`` says whether each unknown's
-    equilibrium row is controlled (P of Eq. 11 of [BP17]), ``has_row`` whether Kbar has a row for it, of whatever
+    equilibrium row is controlled (P of Eq. 9 of [BP17]), ``has_row`` whether Kbar has a row for it, of whatever
     weight: by default for controlled ones. ``interior`` are the nodes at which texture is weighed against mechanics,
     (n_nodes,); by default those that are not on the mesh's boundary.
     """
@@ -133,57 +132,38 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     if interior is None:
         interior = np.ones(mesh.n_nodes, dtype=bool)
         interior[find_boundary_nodes(mesh)] = False
-    whole = _Whole(kinematics, controlled, interior, nodes, unknowns, chains)
-    cells_of = _group_by(parts, n_subdomains)
-    copies_of = _group_by(unknowns.subdomains, n_subdomains)
-    return [whole.cut(s, cells_of[s], copies_of[s]) for s in range(n_subdomains)]
+    # Place of each copy of an unknown in its chain.
+    position = unknowns.position
+    subdomains = []
+    for number, (cells, copies) in enumerate(zip(_group_by(parts, n_subdomains),
+                                                 _group_by(unknowns.subdomains, n_subdomains), strict=True)):
+        submesh, node_ids = mesh.create_submesh(cells)
+        numbers = unknowns.numbers[copies]
+        multiplicity = unknowns.multiplicity[numbers]
+        jumps, reactions = (_cut_interface(chains, kind, numbers, multiplicity, position[copies])
+                            for kind in (JUMPS, REACTIONS))
+        subdomains.append(Subdomain(
+            index=number, mesh=submesh, node_ids=node_ids, cell_ids=cells,
+            kinematics=kinematics.restrict(submesh, node_ids, numbers),
+            controlled=controlled[numbers],
+            interior=interior[node_ids],
+            node_multiplicity=nodes.multiplicity[node_ids],
+            multiplicity=multiplicity,
+            jumps=jumps,
+            reactions=reactions,
+            n_owned_rows=int(chains.owned_rows[number]),
+            n_owned_copies=int(chains.owned_copies[number]),
+        ))
+    return subdomains
 
 
-@dataclass(frozen=True)
-class _Whole:
-    """What subdomains are cut from."""
-
-    kinematics: RegionKinematics
-    controlled: NDArray[np.bool_]
-    interior: NDArray[np.bool_]
-    nodes: Sharing
-    unknowns: Sharing
-    chains: Chains
-
-    @cached_property
-    def position(self) -> NDArray[np.int64]:
-        """Place of each copy of an unknown in its chain, (n_copies,)."""
-        return self.unknowns.position
-
-    def cut(self, number: int, cells: NDArray[np.int64], copies: NDArray[np.int64]) -> Subdomain:
-        """A subdomain of these cells, which has these copies of unknowns."""
-        mesh, node_ids = self.kinematics.mesh.create_submesh(cells)
-        numbers = self.unknowns.numbers[copies]
-        return Subdomain(
-            index=number, mesh=mesh, node_ids=node_ids, cell_ids=cells,
-            kinematics=self.kinematics.restrict(mesh, node_ids, numbers),
-            controlled=self.controlled[numbers],
-            interior=self.interior[node_ids],
-            node_multiplicity=self.nodes.multiplicity[node_ids],
-            multiplicity=self.unknowns.multiplicity[numbers],
-            jumps=self._interface(JUMPS, copies),
-            reactions=self._interface(REACTIONS, copies),
-            n_owned_rows=int(self.chains.owned_rows[number]),
-            n_owned_copies=int(self.chains.owned_copies[number]),
-        )
-
-    def _interface(self, kind: int, copies: NDArray[np.int64]) -> Interface:
-        """The chains of one kind at a subdomain's copies of unknowns."""
-        first_row = self.chains.first_row[kind, self.unknowns.numbers[copies]]
-        at = np.flatnonzero(first_row >= 0)
-        numbers = self.unknowns.numbers[copies[at]]
-        return Interface(
-            unknowns=at,
-            multiplicity=self.unknowns.multiplicity[numbers],
-            position=self.position[copies[at]],
-            first_row=first_row[at],
-            first_copy=self.chains.first_copy[kind, numbers],
-        )
+def _cut_interface(chains: Chains, kind: int, numbers: NDArray[np.int64], multiplicity: NDArray[np.int64],
+                   position: NDArray[np.int64]) -> Interface:
+    """The chains of one kind at a subdomain's unknowns, each (n,): numbers, sharing subdomains, place in the chain."""
+    first_row = chains.first_row[kind, numbers]
+    at = np.flatnonzero(first_row >= 0)
+    return Interface(unknowns=at, multiplicity=multiplicity[at], position=position[at], first_row=first_row[at],
+                     first_copy=chains.first_copy[kind, numbers[at]])
 
 
 def _group_by(labels: NDArray[np.int64], n_groups: int) -> list[NDArray[np.int64]]:

@@ -171,9 +171,7 @@ def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: 
             host[members] = int(with_textured.argmax())
 
     owner_of_piece = owner[host]
-    owner_of_cell = owner_of_piece[pieces]
-    _, new = np.unique(owner_of_cell, return_inverse=True)
-    return np.asarray(new.reshape(-1), dtype=np.int64)
+    return renumber(owner_of_piece[pieces])
 
 
 def _count_shared_facets(pieces: NDArray[np.int64], adjacency: Adjacency, n_pieces: int) -> sparse.csr_matrix:

@@ -86,7 +86,7 @@ class Subdomain:
     kinematics : Kinematics
         From the field's unknowns to the displacement of its nodes in the specimen's frame.
     controlled : (n_field,) array of bool
-        Whether the equilibrium row of each unknown of the field is controlled (P of Eq. 11 of [BP17]).
+        Whether the equilibrium row of each unknown of the field is controlled (P of Eq. 9 of [BP17]).
     interior : (n_nodes,) array of bool
         Whether a node lies inside the whole mesh, where texture is weighed against mechanics.
     node_multiplicity, multiplicity : (n_nodes,) and (n_field,) array of int64

@@ -1,16 +1,271 @@
-"""A near field's own mesh in place of the far elements under it, tied to those around it."""
+"""A near field's own mesh in place of the far elements under it, tied to those around it.
+
+First where near meshes touch what they leave of the far mesh, and whether they do so along whole edges; then the mesh
+of all, and how its nodes are tied.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.errors import InputError, list_first
+from ddic.mesh.interpolation import find_cells_with_points, is_inside_outline
 from ddic.mesh.mesh import Mesh
-from ddic.partition.contact import COVERED, Contact, check_contact, find_contact
+from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
+from ddic.mesh.topology import Facets, find_boundary_facets, find_facets
+
+TOLERANCE = 1e-6
+"""Distance below which points are one, as a share of the far mesh's larger side. A larger value joins edges that lie
+further apart."""
+
+COVERED = 1e-3
+"""Share of an edge that may be missing from what runs along it. A larger value lets edges end further apart."""
+
+
+@dataclass(frozen=True)
+class FarSide:
+    """The far mesh, in which near meshes take the place of some cells.
+
+    Attributes
+    ----------
+    whole : Mesh
+        The far mesh, pixels.
+    replaced_by : (n_cells,) array of int64
+        Number of the near camera whose mesh takes the place of each cell; 0 where the cell is kept.
+    tolerance : float
+        Distance below which points are one, pixels.
+    """
+
+    whole: Mesh
+    replaced_by: NDArray[np.int64]
+    tolerance: float
+
+    @cached_property
+    def kept_cells(self) -> NDArray[np.int64]:
+        """Numbers of the cells that are kept, (n_kept,)."""
+        return np.flatnonzero(self.replaced_by == 0)
+
+    @cached_property
+    def rest(self) -> Mesh:
+        """The cells that are kept."""
+        return self.whole.create_submesh(self.kept_cells)[0]
+
+    @cached_property
+    def node_ids(self) -> NDArray[np.int64]:
+        """Numbers in the whole far mesh of the nodes of the rest, (rest.n_nodes,)."""
+        return self.whole.create_submesh(self.kept_cells)[1]
+
+    @cached_property
+    def edges(self) -> NDArray[np.int64]:
+        """Boundary of the rest, by its nodes, (n_edges, 2)."""
+        return _boundary_edges(self.rest)
+
+
+@dataclass(frozen=True)
+class NearSide:
+    """A near mesh beside the rest of the far one.
+
+    Attributes
+    ----------
+    number : int
+        Of its camera, from 1.
+    mesh : Mesh
+        Its cells, far-field pixels.
+    edges : (n_edges, 2) array of int64
+        Its boundary, by nodes.
+    overlaps : Overlaps
+        Pieces of line that its edges have in common with far ones.
+    mortar : Mortar
+        How its nodes on the common line follow far nodes.
+    """
+
+    number: int
+    mesh: Mesh
+    edges: NDArray[np.int64]
+    overlaps: Overlaps
+    mortar: Mortar
+
+    @cached_property
+    def cover(self) -> NDArray[np.float64]:
+        """Share of each edge that far edges cover, (n_edges,)."""
+        return self.overlaps.measure_near_cover(len(self.edges))
+
+    @property
+    def free_edges(self) -> NDArray[np.int64]:
+        """Edges that touch no far cell, by nodes, (n, 2)."""
+        return self.edges[self.cover <= COVERED]
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The far mesh and all near meshes beside it.
+
+    Attributes
+    ----------
+    far : FarSide
+        What is left of the far mesh.
+    near : tuple of NearSide
+        In the order in which they were given.
+    """
+
+    far: FarSide
+    near: tuple[NearSide, ...]
+
+    @cached_property
+    def far_cover(self) -> NDArray[np.float64]:
+        """Share of each far edge that near edges cover, (n_edges,)."""
+        n_edges = len(self.far.edges)
+        by_mesh = [near.overlaps.measure_far_cover(n_edges) for near in self.near]
+        return np.asarray(np.sum(by_mesh, axis=0), dtype=np.float64)
+
+
+def find_contact(far: Mesh, near: Mapping[int, Mesh]) -> Contact:
+    """Find which far cells near meshes replace, and where they touch the others.
+
+    Near meshes are given by the number of their camera, in far-field pixels. What comes back is not checked yet for
+    edges that do not follow each other. Raises InputError where near meshes overlap or touch each other, leave no far
+    cell, or touch none.
+    """
+    replaced_by = _find_replaced_cells(far, near)
+    tolerance = TOLERANCE * float(np.ptp(far.nodes, axis=0).max())
+    far_side = FarSide(far, replaced_by, tolerance)
+    return Contact(far_side, tuple(_find_near_side(far_side, number, mesh) for number, mesh in near.items()))
+
+
+def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> NDArray[np.int64]:
+    """Number of the near camera whose mesh covers the centre of each far cell, (n_cells,), 0 for none."""
+    replaced_by = np.zeros(far.n_cells, dtype=np.int64)
+    for number, mesh in near.items():
+        inside = is_inside_outline(far.centroids, mesh)
+        earlier = int(replaced_by[inside].max(initial=0))
+        if earlier > 0:
+            raise InputError(f"near, entry {number}: its mesh overlaps that of entry {earlier}; "
+                             "let them cover different far elements")
+        replaced_by[inside] = number
+    _refuse_neighbours(far, replaced_by)
+    if (replaced_by > 0).all():
+        raise InputError("near.mesh: the near fields' meshes cover every far element, which leaves none to the "
+                         "far-field images; use smaller ones, or measure with the near-field images alone")
+    return replaced_by
+
+
+def _refuse_neighbours(far: Mesh, replaced_by: NDArray[np.int64]) -> None:
+    """Raise InputError where two near meshes would have a boundary in common."""
+    facets = find_facets(far)
+    n_facets = len(facets.nodes)
+    of_sides = replaced_by[facets.side_cells]
+    # The least and the largest number among the cells of each facet.
+    low = np.full(n_facets, np.iinfo(np.int64).max)
+    high = np.zeros(n_facets, dtype=np.int64)
+    np.minimum.at(low, facets.side_facets, of_sides)
+    np.maximum.at(high, facets.side_facets, of_sides)
+    between = np.flatnonzero((low > 0) & (low < high))
+    if len(between):
+        first = between[0]
+        raise InputError(f"near, entry {high[first]}: its mesh touches that of entry {low[first]}; leave one far "
+                         "element at least between them")
+
+
+def _find_near_side(far: FarSide, number: int, mesh: Mesh) -> NearSide:
+    edges = _boundary_edges(mesh)
+    sides = Sides(far.rest.nodes, far.edges, mesh.nodes, edges, far.tolerance)
+    overlaps = find_overlaps(sides)
+    if len(overlaps.near) == 0:
+        raise InputError(f"near, entry {number}: its mesh has no boundary in common with the far elements around it; "
+                         "align its outline with edges of far elements")
+    return NearSide(number, mesh, edges, overlaps, integrate_mortar(sides, overlaps))
+
+
+def _boundary_edges(mesh: Mesh) -> NDArray[np.int64]:
+    """Edges of one cell, by the nodes of their ends, (n, 2)."""
+    return np.asarray(find_boundary_facets(mesh)[:, :2])
+
+
+def check_contact(contact: Contact) -> None:
+    """Check that the outline of each near mesh follows far edges from node to node.
+
+    Raises InputError where an outline cuts far cells, or an edge touches the other side only in part, or twice.
+    """
+    _refuse_cut_cells(contact)
+    far = contact.far
+    partly = _covered_in_part(contact.far_cover)
+    if partly.any():
+        x, y = _first_midpoint(far.rest, far.edges[partly])
+        raise InputError(f"near.mesh: the edge of a far element around column {x:.0f}, row {y:.0f} touches a near mesh "
+                         "in part only; let the common boundary end at nodes of both meshes")
+    for near in contact.near:
+        partly = _covered_in_part(near.cover)
+        if partly.any():
+            x, y = _first_midpoint(near.mesh, near.edges[partly])
+            raise InputError(f"near, entry {near.number}: an edge of its mesh around column {x:.1f}, row {y:.1f} "
+                             "touches far elements in part only; let the common boundary end at nodes of both meshes")
+
+
+def _refuse_cut_cells(contact: Contact) -> None:
+    """Raise InputError, with the far cells' numbers, where a near mesh's outline does not follow far edges."""
+    far = contact.far
+    beside_gap = _cells_beside_gap(contact)
+    problems = []
+    for near in contact.near:
+        cut = _find_cut_cells(far, near)
+        if not len(cut):
+            # The near mesh cuts no cell that is kept, but it may end inside one that it replaces.
+            cut = beside_gap[far.replaced_by[beside_gap] == near.number]
+        if len(cut):
+            x, y = far.whole.centroids[cut[0]]
+            problems.append(f"near, entry {near.number}: the outline of its mesh cuts {len(cut)} far elements "
+                            f"(numbered from 0: {list_first(cut)}; the first around column {x:.0f}, row {y:.0f}); "
+                            "align the near mesh with edges of far elements")
+    if problems:
+        raise InputError(problems)
+
+
+def _find_cut_cells(far: FarSide, near: NearSide) -> NDArray[np.int64]:
+    """Kept far cells that hold points of a near edge which should touch nothing; numbers in the whole far mesh."""
+    ends = near.mesh.nodes[near.free_edges]
+    midpoints = ends.mean(axis=1)
+    points = np.concatenate([midpoints, ends.reshape(-1, 2)])
+    found = np.unique(find_cells_with_points(far.rest, points, far.tolerance))
+    return far.kept_cells[found]
+
+
+def _cells_beside_gap(contact: Contact) -> NDArray[np.int64]:
+    """Far cells at edges between a kept and a replaced cell that no near edge covers; sorted numbers."""
+    far = contact.far
+    facets = find_facets(far.whole)
+    uncovered_edges = far.edges[contact.far_cover < 1.0 - COVERED]
+    uncovered = _inner_facets_among(facets, far.node_ids[uncovered_edges])
+    is_at_gap = np.isin(facets.side_facets, uncovered)
+    return np.asarray(np.unique(facets.side_cells[is_at_gap]))
+
+
+def _inner_facets_among(facets: Facets, edges: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Facets of several cells that are among edges given by their nodes, (n, 2)."""
+    inner = np.flatnonzero(facets.n_cells > 1)
+    nodes = facets.nodes[:, :2]
+    # One number for each pair of nodes, whatever their order.
+    factors = np.array([int(nodes.max()) + 1, 1])
+    numbers = np.sort(nodes[inner], axis=1) @ factors
+    wanted = np.sort(edges, axis=1) @ factors
+    return np.asarray(inner[np.isin(numbers, wanted)], dtype=np.int64)
+
+
+def _covered_in_part(cover: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether an edge is covered neither not at all nor once, (n_edges,)."""
+    is_covered = cover > COVERED
+    is_whole = np.abs(cover - 1.0) <= COVERED
+    return np.asarray(is_covered & ~is_whole)
+
+
+def _first_midpoint(mesh: Mesh, edges: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Midpoint of the first of some edges, (2,)."""
+    return np.asarray(mesh.nodes[edges[0]].mean(axis=0))
 
 
 @dataclass(frozen=True)
@@ -47,15 +302,11 @@ def tie_meshes(far: Mesh, near: Mapping[int, Mesh]) -> tuple[Mesh, Tying]:
     """
     contact = find_contact(far, near)
     check_contact(contact)
-    return _join(contact)
-
-
-def _join(contact: Contact) -> tuple[Mesh, Tying]:
     numbering = _number_nodes(contact)
     rest = contact.far.rest
-    mesh = _put_together([rest, *(near.mesh for near in contact.near)], numbering)
-    camera_of_mesh = [0, *(near.number for near in contact.near)]
-    n_cells = [rest.n_cells, *(near.mesh.n_cells for near in contact.near)]
+    mesh = _put_together([rest, *(side.mesh for side in contact.near)], numbering)
+    camera_of_mesh = [0, *(side.number for side in contact.near)]
+    n_cells = [rest.n_cells, *(side.mesh.n_cells for side in contact.near)]
     cameras = np.repeat(np.asarray(camera_of_mesh, dtype=np.int64), n_cells)
     return mesh, Tying(cameras, _find_boundary(contact, numbering), _weigh_nodes(contact, numbering))
 

@@ -1,9 +1,8 @@
-"""What the figures share: axes in image coordinates, colour bars, saving.
+"""What the figures share: axes in image coordinates, colours of nodes and cells, colour bars, saving.
 
-Titles are broken so that they fit, and texts that do not are found. Lengths are in pixels, or in the case's length unit
-where the size of a pixel is known. Pages grow above what is on them already: for which frame of a series they show, and
-for a mark on pictures of fields that did not converge, so that none is taken for a result. Places on a picture have
-numbered marks.
+Titles are broken so that they fit. Lengths are in pixels, or in the case's length unit where the size of a pixel is
+known. Pages grow above what is on them already: for which frame of a series they show, and for a mark on pictures of
+fields that did not converge, so that none is taken for a result. Places on a picture have numbered marks.
 """
 
 from __future__ import annotations
@@ -18,13 +17,11 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.axis import Axis
 from matplotlib.collections import PolyCollection, TriMesh
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
-from matplotlib.transforms import Bbox, BboxBase
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
@@ -34,13 +31,12 @@ from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 
+Array = NDArray[np.float64]
+
 POINTS_AN_INCH = 72.0
 
 CHARACTER = 0.62
 """Mean width of a character of a title relative to its size; a larger value breaks lines earlier."""
-
-ROUNDING_DOTS = 1.0
-"""Dots by which a text may reach beyond the page: its box is rounded outwards."""
 
 
 def format_title(text: str, width: float, size: float) -> str:
@@ -49,29 +45,8 @@ def format_title(text: str, width: float, size: float) -> str:
     return "\n".join(textwrap.wrap(text, n_characters, break_on_hyphens=False))
 
 
-def find_clipped_texts(figure: Figure) -> list[str]:
-    """Find the texts that the edge of the page cuts: titles, labels, numbers at ticks and of legends."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
-    axes_of_ticks = [axis for axes in figure.findobj(Axes) for axis in (axes.xaxis, axes.yaxis) if axes.axison]
-    # Numbers of ticks beyond the limits are made but not drawn: an axis knows which ones are.
-    of_ticks = {id(label) for axis in axes_of_ticks for label in axis.get_ticklabels(which="both")}
-    boxes: list[tuple[str, Bbox | None]]
-    boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in figure.findobj(Text)
-             if text.get_visible() and text.get_text().strip() and id(text) not in of_ticks]
-    boxes += [(f"axis {axis.get_label_text()}", axis.get_tightbbox(renderer)) for axis in axes_of_ticks]
-    return [text for text, box in boxes if box is not None and not _holds(figure.bbox, box)]
-
-
-def _holds(page: BboxBase, box: BboxBase) -> bool:
-    """Whether a box lies on the page."""
-    return bool(box.x0 >= page.x0 - ROUNDING_DOTS and box.y0 >= page.y0 - ROUNDING_DOTS
-                and box.x1 <= page.x1 + ROUNDING_DOTS and box.y1 <= page.y1 + ROUNDING_DOTS)
-
-
-def make_room_above(figure: Figure, room: float) -> None:
-    """Let a page grow by some room, inches, above what is on it, which keeps its size."""
+def make_room_above(figure: Figure, room: float) -> float:
+    """Let a page grow by some room, inches, above what is on it, which keeps its size; return its new height."""
     width, height = figure.get_size_inches()
     share = float(height / (height + room))
     layout = figure.get_layout_engine()
@@ -84,6 +59,7 @@ def make_room_above(figure: Figure, room: float) -> None:
             x, y, w, h = axes.get_position(original=True).bounds
             axes.set_position((x, y * share, w, h * share))
     figure.set_size_inches(width, height + room)
+    return float(height + room)
 
 
 @dataclass(frozen=True)
@@ -122,7 +98,6 @@ def find_length_unit(result: Result, asked: str | None = None) -> LengthUnit:
 
 
 Component = Literal["x", "y", "magnitude"]
-COMPONENTS: tuple[Component, ...] = ("x", "y", "magnitude")
 COLOURS = "viridis"
 
 DPI = 150
@@ -229,8 +204,7 @@ def _set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: tuple[float
     """Limits, labels and as many numbers as there is room for; size: width and height of the axes, inches."""
     set_bounds(axes, bounds)
     axes.set_aspect("equal")
-    axes.set_xlabel(f"x [{unit.name}]")
-    axes.set_ylabel(f"y [{unit.name}]")
+    axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]")
     for axis, length in zip((axes.xaxis, axes.yaxis), size, strict=True):
         n_numbers = max(2, min(7, int(length / INCHES_A_NUMBER)))
         axis.set_major_locator(MaxNLocator(nbins=n_numbers, steps=[1, 2, 5, 10]))
@@ -243,7 +217,7 @@ def set_bounds(axes: Axes, bounds: Bounds) -> None:
     axes.set_ylim(y1, y0)
 
 
-def find_mesh_bounds(nodes: NDArray[np.float64], margin: float = 0.03) -> Bounds:
+def find_mesh_bounds(nodes: Array, margin: float = 0.03) -> Bounds:
     """Find the box x0, y0, x1, y1 around nodes (n, 2), pixels, with a margin relative to its longer side."""
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     gap = margin * float((high - low).max())
@@ -259,23 +233,27 @@ def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> Non
     # x, y, width, height, of the axes'.
     beside = axes.inset_axes((1.0 + GAP_INCHES / width, 0.5 - 0.5 * share, BAR_INCHES / width, share))
     bar = figure.colorbar(mappable, cax=beside, label=label, extend=_find_values_beyond(mappable))
-    # Strains are written times a power of ten: their zeros would need the room of the label.
+    write_powers_of_ten(bar.ax.yaxis)
+    bar.ax.yaxis.set_offset_position("left")
+
+
+def write_powers_of_ten(axis: Axis) -> None:
+    """Write small and large numbers times a power of ten: the zeros of strains would need the room of the label."""
     numbers = ScalarFormatter(useMathText=True)
     numbers.set_powerlimits((-2, 4))
-    bar.ax.yaxis.set_major_formatter(numbers)
-    bar.ax.yaxis.set_offset_position("left")
+    axis.set_major_formatter(numbers)
 
 
 def _find_values_beyond(mappable: Any) -> Literal["neither", "min", "max", "both"]:
     """Sides of the colours on which there are values beyond, as matplotlib calls them: the bar has arrows there."""
     # Masked where an image has no value; comparisons with nan are false.
-    values: NDArray[np.float64] = np.ma.getdata(mappable.get_array())  # type: ignore[no-untyped-call]
+    values: Array = np.ma.getdata(mappable.get_array())  # type: ignore[no-untyped-call]
     low, high = mappable.get_clim()
     below, above = bool((values < low).any()), bool((values > high).any())
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
-def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> Limits:
+def choose_limits(values: Array, asked: Limits | None = None) -> Limits:
     """Choose where colours of values (n,) begin and end: as asked, or spanning all that are not nan."""
     if asked is not None:
         return asked
@@ -287,15 +265,23 @@ def choose_limits(values: NDArray[np.float64], asked: Limits | None = None) -> L
     return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
 
 
-def make_cell_polygons(mesh: Mesh, nodes: NDArray[np.float64], **style: Any) -> PolyCollection:
+def make_cell_polygons(mesh: Mesh, nodes: Array, **style: Any) -> PolyCollection:
     """Make polygons of the cells, their nodes drawn at (n_nodes, 2), in a style as matplotlib's collections take it."""
     nodes_of_cells = np.split(mesh.connectivity, mesh.offsets[1:-1])
     corners = [nodes[of_cell] for of_cell in nodes_of_cells]
     return PolyCollection(corners, **style)
 
 
-def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], values: NDArray[np.float64],
-                       limits: Limits) -> TriMesh:
+def draw_cell_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, limits: Limits,
+                      palette: str = COLOURS) -> PolyCollection:
+    """Draw values on cells (n_cells,) in colour, their nodes at (n_nodes, 2)."""
+    cells = make_cell_polygons(mesh, nodes, array=values, cmap=palette, edgecolors="face", linewidths=0.1, clim=limits,
+                               rasterized=mesh.n_cells > MOST_SHARP_CELLS)
+    axes.add_collection(cells)
+    return cells
+
+
+def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, limits: Limits) -> TriMesh:
     """Draw values at nodes in colour, interpolated; nothing where a cell has a node without one, which is nan."""
     shown = np.zeros(mesh.n_cells, dtype=bool)
     shown[mesh.find_cells_among(np.isfinite(values))] = True
@@ -307,13 +293,13 @@ def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], value
     return colours
 
 
-def make_triangulation(mesh: Mesh, nodes: NDArray[np.float64]) -> Triangulation:
+def make_triangulation(mesh: Mesh, nodes: Array) -> Triangulation:
     """Cut the cells into triangles on all nodes, which are drawn at (n_nodes, 2)."""
     triangles = [block.nodes[:, corners] for block in mesh.cell_blocks for corners in block.type.triangles]
     return Triangulation(nodes[:, 0], nodes[:, 1], np.concatenate(triangles))
 
 
-def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArray[np.float64]:
+def pick_component(vectors: Array, component: Component) -> Array:
     """Pick one component of vectors (n, 2), or their length, (n,)."""
     if component == "magnitude":
         return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
@@ -324,6 +310,11 @@ def pick_component(vectors: NDArray[np.float64], component: Component) -> NDArra
 def format_component(symbol: str, component: Component) -> str:
     """Write a component of a vector as a label does, in TeX."""
     return f"$|{symbol}|$" if component == "magnitude" else f"${symbol}_{component}$"
+
+
+def format_component_label(symbol: str, component: Component, unit: LengthUnit) -> str:
+    """Label a colour bar with a component of a vector and its unit."""
+    return f"{format_component(symbol, component)} [{unit.name}]"
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = DPI, files: NewFiles | None = None) -> None:
@@ -355,8 +346,7 @@ def format_caption(number: int, time: float) -> str:
 
 def draw_caption(figure: Figure, text: str) -> None:
     """Write a text, short enough for one line, above all that is on a page, which grows by it."""
-    make_room_above(figure, ROOM_INCHES)
-    height = figure.get_size_inches()[1]
+    height = make_room_above(figure, ROOM_INCHES)
     figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=CAPTION_POINTS,
                 fontweight="bold")
 
@@ -386,11 +376,9 @@ def draw_failures(figure: Figure, shown: Sequence[Result]) -> None:
     if not failed:
         return
     text = WORDS if len(shown) == 1 else f"{', '.join(result.path.name for result in failed)}: {WORDS}"
-    width, height = figure.get_size_inches()
-    lines = format_title(text, width - 2 * EDGE_INCHES, MARK_POINTS)
-    room = EDGE_INCHES + MARK_INCHES * (lines.count("\n") + 1)
-    make_room_above(figure, room)
-    figure.text(0.5, 1.0 - EDGE_INCHES / (height + room), lines, ha="center", va="top", fontsize=MARK_POINTS,
+    lines = format_title(text, figure.get_size_inches()[0] - 2 * EDGE_INCHES, MARK_POINTS)
+    height = make_room_above(figure, EDGE_INCHES + MARK_INCHES * (lines.count("\n") + 1))
+    figure.text(0.5, 1.0 - EDGE_INCHES / height, lines, ha="center", va="top", fontsize=MARK_POINTS,
                 fontweight="bold", color=FAILURE_COLOUR, linespacing=MARK_INCHES * POINTS_AN_INCH / MARK_POINTS / 1.2)
 
 

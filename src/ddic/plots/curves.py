@@ -1,14 +1,15 @@
 """Curves: convergence of the Krylov iterations (Fig. 11 of [BP17]), of Gauss-Newton and of PGD-DIC, and more.
 
-Gauss-Newton and PGD-DIC (Fig. 8 of [PP12]) by corrections and residual against their number; the functions of x and of
-y that a separated displacement is made of (Fig. 9 and 10 of [PP12]); opening of discontinuities along them; measurement
+Gauss-Newton and PGD-DIC (Fig. 8a of [PP12]) by corrections and residual against their number; the functions of x and of
+y that a separated displacement is made of (Fig. 9 of [PP12]); opening of discontinuities along them; measurement
 uncertainty against the size of the elements [RRH07], [RHR08]; displacement and strain along a line, with a band of what
-noise leaves in them.
+noise leaves in them; a sweep over cut-off wavelengths and element sizes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
 
@@ -26,6 +27,8 @@ from ddic.mesh.interpolation import interpolate
 from ddic.plots.canvas import COLOURS, PIXELS, LengthUnit
 from ddic.separated.field import SeparatedField
 
+Array = NDArray[np.float64]
+
 STYLES = (("-", "o"), ("--", "s"), ("-.", "^"), (":", "v"))
 """Lines and markers: a history of one value is a point."""
 
@@ -39,38 +42,50 @@ LIGHTEST = 0.85
 """Place in the colours of the last iteration or mode, 0 to 1; a larger value is lighter."""
 
 
-def draw_krylov(curves: Mapping[str, Sequence[NDArray[np.float64]]]) -> Figure:
+def draw_krylov(curves: Mapping[str, Sequence[Array]]) -> Figure:
     """Draw the relative residual against the iteration, by label a history for each Gauss-Newton iteration.
 
     Each label has a line style; its Gauss-Newton iterations run through the colours. The label is empty for one result
     alone.
     """
-    figure = Figure(figsize=(7.0, 4.5), layout="tight")
-    axes = figure.add_subplot()
+    figure, axes = _make_wide_figure()
     for (style, marker), (label, histories) in zip(cycle(STYLES), curves.items(), strict=False):
         shades = colormaps[COLOURS](np.linspace(0.0, LIGHTEST, len(histories)))
         for number, (history, shade) in enumerate(zip(histories, shades, strict=True), start=1):
             if len(history) == 0:
                 continue
-            # A history that ends at an exact zero has no logarithm: its last point is not drawn.
-            shown = np.where(np.asarray(history) > 0, history, np.nan)
             name = f"Gauss-Newton {number}"
-            axes.semilogy(np.arange(len(shown)), shown, style, color=shade, linewidth=1.4, marker=marker, markersize=4,
+            # A history that ends at an exact zero has no logarithm: its last point is not drawn.
+            axes.semilogy(np.arange(len(history)), _positive(np.asarray(history)), style, color=shade,
+                          linewidth=1.4, marker=marker, markersize=4,
                           label=f"{_shorten(label)}, {name}" if label else name)
-    axes.set_xlabel("Krylov iteration [-]")
-    axes.set_ylabel("relative residual [-]")
-    axes.set_title("Convergence of the interface problem")
+    axes.set(xlabel="Krylov iteration [-]", ylabel="relative residual [-]",
+             title="Convergence of the interface problem")
     axes.grid(which="both", alpha=0.25)
     # Where no iteration was needed the axis would be one of fractions.
     longest = max((len(history) for histories in curves.values() for history in histories), default=1)
     margin = 0.02 * max(longest - 1, 1) + 0.05
     axes.set_xlim(-margin, max(longest - 1, 1) + margin)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.xaxis.set_major_locator(_whole_numbers())
     drawn, names = axes.get_legend_handles_labels()
     if drawn:
         every = -(-len(drawn) // MOST_NAMED)
         axes.legend(drawn[::every], names[::every], fontsize="x-small", ncols=1 if len(drawn) <= 4 else 2)
     return figure
+
+
+def _make_wide_figure() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(7.0, 4.5), layout="tight")
+    return figure, figure.add_subplot()
+
+
+def _whole_numbers() -> MaxNLocator:
+    return MaxNLocator(integer=True, min_n_ticks=1)
+
+
+def _positive(values: NDArray[Any]) -> Array:
+    """Values that have a logarithm, nan for others."""
+    return np.where(values > 0, values, np.nan).astype(np.float64)
 
 
 def _shorten(label: str) -> str:
@@ -90,8 +105,7 @@ def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = floa
     for column, colour, label in (("rms_correction_px", "tab:blue", "RMS"),
                                   ("largest_correction_px", "tab:orange", "largest")):
         if column in table:
-            values = np.where(table[column] > 0, table[column], np.nan)
-            sizes.semilogy(number, values, marker="o", markersize=4, color=colour, label=label)
+            sizes.semilogy(number, _positive(table[column]), marker="o", markersize=4, color=colour, label=label)
     if np.isfinite(noise_floor) and noise_floor > 0:
         sizes.axhline(noise_floor, linestyle="--", color="tab:grey", label="noise floor")
     sizes.set_ylabel("correction [px]")
@@ -101,10 +115,15 @@ def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = floa
     residual.set_ylim(0.0, 1.15 * float(np.nanmax(table["residual_std_grey"])) or 1.0)
     residual.set_xlabel("iteration [-]")
     for axes in (sizes, residual):
-        axes.set_xlim(number.min() - 0.5, number.max() + 0.5)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        axes.grid(which="both", alpha=0.25)
+        _count_along_x(axes, number)
     return figure
+
+
+def _count_along_x(axes: Axes, number: NDArray[Any]) -> None:
+    """Whole numbers below, with room at both ends: one alone would have an axis of fractions."""
+    axes.set_xlim(number.min() - 0.5, number.max() + 0.5)
+    axes.xaxis.set_major_locator(_whole_numbers())
+    axes.grid(which="both", alpha=0.25)
 
 
 def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
@@ -126,18 +145,10 @@ def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
     residual.set_ylim(bottom=0.0)
     for axes in (sizes, gains, residual):
         axes.set_xlabel("correction [-]")
-        # One correction alone would have an axis of fractions.
-        axes.set_xlim(number.min() - 0.5, number.max() + 0.5)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        axes.grid(which="both", alpha=0.25)
+        _count_along_x(axes, number)
     for axes in (sizes, gains):
         axes.legend(fontsize="x-small")
     return figure
-
-
-def _positive(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Values that have a logarithm, nan for others."""
-    return np.where(values > 0, values, np.nan).astype(np.float64)
 
 
 MOST = 5
@@ -156,8 +167,7 @@ def draw_modes(field: SeparatedField) -> Figure:
             for k, shade in enumerate(shades):
                 axes.plot(line.nodes, functions[k, c], color=shade, linewidth=1.2,
                           label=f"mode {k + 1}, {field.amplitudes[k, c]:.2g} px")
-            axes.set_xlabel(f"{name} [px]")
-            axes.set_ylabel(f"function of {name}, u_{component} [-]")
+            axes.set(xlabel=f"{name} [px]", ylabel=f"function of {name}, u_{component} [-]")
             axes.grid(alpha=0.25)
             if not row and n:
                 axes.legend(fontsize="x-small", title="RMS displacement", title_fontsize="x-small")
@@ -165,32 +175,24 @@ def draw_modes(field: SeparatedField) -> Figure:
     return figure
 
 
-Array = NDArray[np.float64]
-
-OPENING_STYLES = ("-", "--", "-.", ":")
-
-
 def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthUnit = PIXELS) -> Figure:
     """Draw slip and opening against the place along the line.
 
     ``curves`` hold, by the label of a line, distance along it, tangential and normal opening, (n,) each, in the unit.
     """
-    figure = Figure(figsize=(7.0, 4.5), layout="tight")
-    axes = figure.add_subplot()
-    for style, (label, (distance, tangential, normal)) in zip(cycle(OPENING_STYLES), curves.items(), strict=False):
+    figure, axes = _make_wide_figure()
+    for (style, _), (label, (distance, tangential, normal)) in zip(cycle(STYLES), curves.items(), strict=False):
         prefix = "" if len(curves) == 1 else f"{label}, "
         axes.plot(distance, normal, style, color="tab:blue", linewidth=1.4, label=f"{prefix}normal")
         axes.plot(distance, tangential, style, color="tab:orange", linewidth=1.4, label=f"{prefix}tangential")
-    axes.set_xlabel(f"distance along the line [{unit.name}]")
-    axes.set_ylabel(f"opening [{unit.name}]")
-    axes.set_title("Opening of discontinuities")
+    axes.set(xlabel=f"distance along the line [{unit.name}]", ylabel=f"opening [{unit.name}]",
+             title="Opening of discontinuities")
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
     return figure
 
 
-def draw_uncertainty(sizes: NDArray[np.float64], deviations: Mapping[Any, NDArray[np.float64]],
-                     bases: Sequence[str]) -> Figure:
+def draw_uncertainty(sizes: Array, deviations: Mapping[Any, Array], bases: Sequence[str]) -> Figure:
     """Draw the standard deviation, the largest over displacements, against the size of the elements.
 
     ``sizes`` (n_sizes,) and, by kind of displacement, ``deviations`` (n_sizes, n_amplitudes, n_bases) are in pixels;
@@ -203,9 +205,7 @@ def draw_uncertainty(sizes: NDArray[np.float64], deviations: Mapping[Any, NDArra
             axes.loglog(sizes, values, f"{marker}-", linewidth=1.4, label=f"{basis} elements")
         axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
         axes.set_xticks([], minor=True)
-        axes.set_xlabel("element size [px]")
-        axes.set_ylabel("largest standard deviation [px]")
-        axes.set_title(f"{kind} displacements")
+        axes.set(xlabel="element size [px]", ylabel="largest standard deviation [px]", title=f"{kind} displacements")
         axes.grid(which="both", alpha=0.25)
         axes.legend(fontsize="small")
     return figure
@@ -218,7 +218,6 @@ BAND = 2.0
 """Standard deviations on either side: 95 % of normal errors."""
 
 LINE_COLOURS = ("tab:blue", "tab:orange", "tab:green")
-STRAIN_COLUMNS = {"xx": 0, "yy": 1, "xy": 3}
 
 
 def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) -> Figure:
@@ -248,14 +247,13 @@ def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) 
         title += ", of $u$ of noise and bias"
     _draw_bands(above, distance, displacement,
                 None if deviations is None else unit.size * deviations, ("$u_x$", "$u_y$"))
-    above.set_ylabel(f"displacement [{unit.name}]")
-    above.set_title(title)
+    above.set(ylabel=f"displacement [{unit.name}]", title=title)
     if has_strain:
-        strain = result.point_data[schema.NODAL_INFINITESIMAL][:, list(STRAIN_COLUMNS.values())]
+        strain = schema.pick_in_the_plane(result.point_data[schema.NODAL_INFINITESIMAL])
         below = figure.add_subplot(2, 1, 2, sharex=above)
         _draw_bands(below, distance, interpolate(result.mesh, strain, points),
                     _read_along(result, schema.SIGMA_NODAL_STRAIN, points),
-                    tuple(rf"$\epsilon_{{{name}}}$" for name in STRAIN_COLUMNS))
+                    tuple(rf"$\epsilon_{{{name}}}$" for name in schema.IN_THE_PLANE))
         below.set_ylabel("infinitesimal strain")
     figure.axes[-1].set_xlabel(f"distance along the line [{unit.name}]")
     return figure
@@ -278,3 +276,121 @@ def _draw_bands(axes: Axes, distance: Array, values: Array, deviations: Array | 
                               linewidth=0.0)
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
+
+
+MOST_LABELS = 12
+"""Wavelengths that are written at an axis."""
+
+CROWDED = 0.07
+"""Distance of points of the L-curve, relative to the axes, below which only one of them has its wavelength written."""
+
+
+WIDE_RANGE = 10.0
+"""Largest over least residual from which on its axis is logarithmic."""
+
+
+@dataclass(frozen=True, eq=False)
+class SweptElements:
+    """What was found with elements of one size, by increasing wavelength.
+
+    Attributes
+    ----------
+    name : str
+        Of the elements.
+    wavelengths : (n,) array
+        Pixels; 0 without regularization.
+    residuals, gaps : (n,) array
+        RMS residual, grey levels, and forces out of equilibrium, 1/px.
+    predicted, virtual : (n,) array
+        Errors, pixels; nan where there is none.
+    recommended : int or None
+        Which is recommended, of these.
+    """
+
+    name: str
+    wavelengths: Array
+    residuals: Array
+    gaps: Array
+    predicted: Array
+    virtual: Array
+    recommended: int | None
+
+
+def draw_sweep(swept: Sequence[SweptElements], title: str) -> Figure:
+    """Draw the L-curve, the residual and the errors against the wavelength; the recommendation is marked by a ring."""
+    figure = Figure(figsize=(14.0, 4.9), layout="constrained")
+    corner, residual, error = figure.subplots(1, 3)
+    colours = colormaps[COLOURS](np.linspace(0.0, 0.88, max(len(swept), 2)))
+    lengths = np.unique(np.concatenate([of_size.wavelengths for of_size in swept]))
+    places = _place(lengths)
+    for of_size, colour in zip(swept, colours, strict=False):
+        x = places[np.searchsorted(lengths, of_size.wavelengths)]
+        style = {"color": colour, "linewidth": 1.4, "markersize": 4.5}
+        corner.semilogx(of_size.gaps, of_size.residuals, "o-", label=of_size.name, **style)
+        residual.semilogx(x, of_size.residuals, "o-", **style)
+        error.loglog(x, of_size.virtual, "o-", **style)
+        error.loglog(x, np.where(of_size.predicted > 0, of_size.predicted, np.nan), ":", color=colour, linewidth=1.2)
+        if of_size.recommended is not None:
+            k = of_size.recommended
+            for axes, here, values in ((corner, of_size.gaps, of_size.residuals), (residual, x, of_size.residuals),
+                                       (error, x, of_size.virtual)):
+                axes.plot(here[k], values[k], "o", markersize=13, markerfacecolor="none", markeredgecolor="crimson",
+                            markeredgewidth=1.8)
+    _annotate(corner, swept)
+    _finish(corner, residual, error, (lengths, places))
+    figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def _place(lengths: Array) -> Array:
+    """Places of wavelengths on a logarithmic axis: none stands left of the shortest."""
+    regularized = lengths[lengths > 0]
+    left = float(regularized[0]) / 2 if len(regularized) else 1.0
+    return np.where(lengths > 0, lengths, left)
+
+
+def _annotate(axes: Axes, swept: Sequence[SweptElements]) -> None:
+    """Write wavelengths at the points of the first curve."""
+    first = next((of_size for of_size in swept if np.isfinite(of_size.residuals * of_size.gaps).any()), None)
+    if first is None:
+        return
+    points = np.column_stack([np.log(first.gaps), first.residuals])
+    places = (points - np.nanmin(points, axis=0)) / np.maximum(np.ptp(points[np.isfinite(points).all(axis=1)], axis=0),
+                                                              1e-300)
+    written: list[Array] = []
+    # From the longest on: the corner is crowded, the ends are not.
+    for k in reversed(range(len(places))):
+        if not np.isfinite(places[k]).all() or any(np.abs(places[k] - other).max() < CROWDED for other in written):
+            continue
+        written.append(places[k])
+        text = f"{first.wavelengths[k]:g}" if first.wavelengths[k] else "none"
+        axes.annotate(text, (first.gaps[k], first.residuals[k]), xytext=(5, 5), textcoords="offset points", fontsize=7)
+
+
+def _finish(corner: Axes, residual: Axes, error: Axes, lengths: tuple[Array, Array]) -> None:
+    """Labels, grids and legends."""
+    corner.set(title="L-curve (numbers: l_c [px])", xlabel="forces out of equilibrium, RMS of div s / E [1/px]")
+    corner.legend(fontsize="small", title="elements", title_fontsize="small")
+    residual.set_title("residual")
+    error.set(title="error of the displacement", ylabel="RMS error [px]")
+    error.plot([], [], "ko-", markersize=4.5, label="on the virtual images")
+    error.plot([], [], "k:", label="as the residual predicts")
+    error.legend(fontsize="small")
+    for axes in (corner, residual):
+        axes.set_ylabel("RMS residual [grey levels]")
+        low, high = axes.dataLim.intervaly
+        if high > WIDE_RANGE * low:
+            axes.set_yscale("log")
+    # Room for the numbers at the ends.
+    corner.margins(x=0.14)
+    wavelengths, places = lengths
+    # At most MOST_LABELS, the first and the last among them.
+    n = len(places)
+    chosen = sorted({int(k) for k in np.rint(np.linspace(0, n - 1, min(n, MOST_LABELS)))})
+    for axes in (residual, error):
+        axes.set_xlabel("cut-off wavelength l_c [px]")
+        axes.set_xticks(places[chosen], [f"{wavelengths[k]:g}" if wavelengths[k] else "none" for k in chosen],
+                        fontsize=8)
+        axes.set_xticks([], minor=True)
+    for axes in (corner, residual, error):
+        axes.grid(which="both", alpha=0.25)

@@ -1,18 +1,20 @@
 """A value at the nodes or on the cells in colour, over the reference image where there is one.
 
-Maps of displacement, of strain and of the difference between two measured fields (Fig. 10 of [BP17]), and an image
-thinned out to what a figure can show. Limits of colours are in the unit that is drawn.
+Maps of displacement, also around near fields, of strain and of the difference between two measured
+fields (Fig. 10), the deformed mesh (Fig. 9), and an image thinned out to what a figure can show. Limits of colours are
+in the unit that is drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import Collection
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -21,27 +23,21 @@ from ddic.images.source import ImageSource
 from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result, displacement_at
-from ddic.kinematics.strain import compute_hencky, compute_von_mises_strain, find_principal_strains
+from ddic.kinematics.strain import (
+    compute_hencky,
+    compute_von_mises_strain,
+    count_folded_cells,
+    find_largest_gradient,
+    find_principal_strains,
+    project_rigid_motion_out,
+)
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
-from ddic.plots.canvas import (
-    COLOURS,
-    MOST_SHARP_CELLS,
-    PIXELS,
-    Component,
-    LengthUnit,
-    Limits,
-    add_colour_bar,
-    choose_limits,
-    draw_nodal_colours,
-    find_mesh_bounds,
-    format_component,
-    make_cell_polygons,
-    make_image_figure,
-    make_panels,
-    pick_component,
-    set_bounds,
-)
+from ddic.mesh.topology import find_boundary_facets
+from ddic.plots import canvas
+from ddic.plots.canvas import PIXELS, Bounds, Component, LengthUnit, Limits
+
+Array = NDArray[np.float64]
 
 
 def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
@@ -53,14 +49,14 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     is_known = np.isfinite(squares)
     rms = float(np.sqrt(squares[is_known].mean())) if is_known.any() else np.nan
     title = f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} {unit.name}"
-    figure, axes = make_image_figure(find_mesh_bounds(nodes), title, unit)
-    values = pick_component(difference, component)
-    colours = draw_nodal_colours(axes, mesh, nodes, values, choose_limits(values, limits))
-    add_colour_bar(figure, axes, colours, f"{format_component(chr(92) + 'Delta u', component)} [{unit.name}]")
+    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
+    values = canvas.pick_component(difference, component)
+    colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, canvas.choose_limits(values, limits))
+    canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label(r"\Delta u", component, unit))
     return figure
 
 
-def _interpolate(result: Result, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _interpolate(result: Result, points: Array) -> Array:
     """Displacement at points, pixels: a guess outside the mesh, nan in it where nothing was measured."""
     values = displacement_at(result, points)
     if not result.measured_nodes.all():
@@ -99,12 +95,11 @@ class Preview:
 
         Below an ``opacity`` of 1 it is drawn over everything that is there.
         """
-        left, right, bottom, top = find_thinned_extent(self.pixels.shape, self.step)
         axes.imshow(self.pixels, cmap="gray", interpolation="nearest", rasterized=True,
                     zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity,
-                    extent=(size * left, size * right, size * bottom, size * top))
+                    extent=find_thinned_extent(self.pixels.shape, self.step, size))
 
-    def clip(self, bounds: tuple[float, float, float, float], size: float = 1.0) -> tuple[float, float, float, float]:
+    def clip(self, bounds: Bounds, size: float = 1.0) -> Bounds:
         """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
 
         The box is x0, y0, x1, y1 in the axes' unit, ``size`` a pixel's in that unit.
@@ -112,6 +107,18 @@ class Preview:
         x0, y0, x1, y1 = bounds
         return (max(x0, -0.5 * size), max(y0, -0.5 * size), min(x1, (self.width - 0.5) * size),
                 min(y1, (self.height - 0.5) * size))
+
+
+def make_figure_over(image: Preview | None, bounds: Bounds, title: str, unit: LengthUnit = PIXELS,
+                     beside: float = canvas.RIGHT_INCHES) -> tuple[Figure, Axes]:
+    """Make a figure as ``make_image_figure`` does, over the image where it is given, whose edges cut the bounds."""
+    if image is None:
+        return canvas.make_image_figure(bounds, title, unit, beside=beside)
+    bounds = image.clip(bounds, unit.size)
+    figure, axes = canvas.make_image_figure(bounds, title, unit, beside=beside)
+    image.draw(axes, unit.size)
+    canvas.set_bounds(axes, bounds)
+    return figure, axes
 
 
 def read_preview(source: ImageSource) -> Preview:
@@ -127,9 +134,10 @@ def read_preview(source: ImageSource) -> Preview:
     return Preview(pixels, step, source.width, source.height)
 
 
-def find_thinned_extent(shape: tuple[int, ...], step: int) -> tuple[float, float, float, float]:
-    """Find left, right, bottom, top of a thinned image, pixels, y down."""
-    return (-0.5 * step, (shape[1] - 0.5) * step, (shape[0] - 0.5) * step, -0.5 * step)
+def find_thinned_extent(shape: tuple[int, ...], step: int, size: float) -> tuple[float, float, float, float]:
+    """Find left, right, bottom, top of a thinned image, y down, in the axes' unit; ``size`` is a pixel's."""
+    return (size * (-0.5 * step), size * ((shape[1] - 0.5) * step), size * ((shape[0] - 0.5) * step),
+            size * (-0.5 * step))
 
 
 MARGIN = 0.06
@@ -153,61 +161,91 @@ class Values:
         At the nodes, or on the cells.
     by_cell : bool
         Whether they are on the cells.
-    limits : (float, float) or None
-        Of its colours; None where they are those of its values, or of all panels.
     """
 
     title: str
     label: str
-    values: NDArray[np.float64]
+    values: Array
     by_cell: bool = False
-    limits: Limits | None = None
 
 
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
                       unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
     """Draw the displacement on the mesh at rest, over the reference image where it is given."""
-    symbol = format_component("u", component)
-    shown = Values(f"Displacement {symbol}", f"{symbol} [{unit.name}]",
-                   unit.size * pick_component(result.displacement, component))
-    return draw_values(result.mesh, [shown], image, unit, limits)
+    shown = Values(f"Displacement {canvas.format_component('u', component)}",
+                   canvas.format_component_label("u", component, unit),
+                   unit.size * canvas.pick_component(result.displacement, component))
+    return draw_values(result.mesh, [shown], image, unit, [limits])
 
 
 def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit: LengthUnit,
-                limits: Limits | None) -> Figure:
+                limits: Sequence[Limits | None]) -> Figure:
     """Draw panels of values on one mesh, over the image where it is given.
 
-    ``limits`` are those of the colours of all panels that have none of their own; a panel's values tell them where that
-    is None too.
+    ``limits`` are those of the colours of each panel; where they are None its values tell them.
     """
     nodes = unit.size * mesh.nodes
-    bounds = find_mesh_bounds(nodes, MARGIN)
+    bounds = canvas.find_mesh_bounds(nodes, MARGIN)
     if image is not None:
         bounds = image.clip(bounds, unit.size)
-    figure, panels = make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
-    for axes, panel in zip(panels, shown, strict=True):
-        colours = _add_colours(axes, mesh, nodes, panel, choose_limits(panel.values, panel.limits or limits))
+    figure, panels = canvas.make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
+    for axes, panel, asked in zip(panels, shown, limits, strict=True):
+        draw = canvas.draw_cell_colours if panel.by_cell else canvas.draw_nodal_colours
+        colours = draw(axes, mesh, nodes, panel.values, canvas.choose_limits(panel.values, asked))
         if image is not None:
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
             image.draw(axes, unit.size)
             image.draw(axes, unit.size, opacity=1.0 - OPACITY)
-            set_bounds(axes, bounds)
-        add_colour_bar(figure, axes, colours, panel.label)
+            canvas.set_bounds(axes, bounds)
+        canvas.add_colour_bar(figure, axes, colours, panel.label)
     return figure
 
 
-def _add_colours(axes: Axes, mesh: Mesh, nodes: NDArray[np.float64], panel: Values, limits: Limits) -> Collection:
-    """Colours by node, interpolated, or by cell; nodes: in the axes' unit."""
-    if not panel.by_cell:
-        return draw_nodal_colours(axes, mesh, nodes, panel.values, limits)
-    cells = make_cell_polygons(mesh, nodes, array=panel.values, cmap=COLOURS, edgecolors="face", linewidths=0.1,
-                               clim=limits, rasterized=mesh.n_cells > MOST_SHARP_CELLS)
-    axes.add_collection(cells)
-    return cells
+AROUND = 0.12
+"""Around a near field, relative to its longer side."""
+
+
+def draw_near_far(result: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS) -> Figure:
+    """Draw the displacement of the whole mesh, then around each near field in colours of its own.
+
+    Near fields are outlined; titles tell alpha, in pixels, by which each near set-up moved.
+    """
+    whole = replace(result.mesh, nodes=unit.size * result.mesh.nodes)
+    camera_of_cell = result.cell_data[schema.CAMERA]
+    titles, boxes, near = ["far field"], [canvas.find_mesh_bounds(whole.nodes)], []
+    for camera in range(1, int(camera_of_cell.max()) + 1):
+        mesh, _ = whole.create_submesh(np.flatnonzero(camera_of_cell == camera))
+        alpha = result.attributes[schema.near_group(camera)]["alpha_px"]
+        titles.append(f"near field {camera}, $\\alpha$ = ({alpha[0]:.3f}, {alpha[1]:.3f}) px")
+        boxes.append(canvas.find_mesh_bounds(mesh.nodes, AROUND))
+        near.append(mesh)
+    figure, panels = canvas.make_panels(boxes, titles, unit)
+    values = unit.size * canvas.pick_component(result.displacement, component)
+    for axes, box in zip(panels, boxes, strict=True):
+        inside = values[find_points_inside(whole.nodes, box)]
+        colours = canvas.draw_nodal_colours(axes, whole, whole.nodes, values, canvas.choose_limits(inside))
+        draw_outlines(axes, near)
+        canvas.set_bounds(axes, box)
+        canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label("u", component, unit))
+    return figure
+
+
+def draw_outlines(axes: Axes, outlined: Sequence[Mesh]) -> None:
+    """Draw the outlines of meshes, on grey."""
+    for mesh in outlined:
+        edges = find_boundary_facets(mesh)[:, :2]
+        axes.add_collection(LineCollection(list(mesh.nodes[edges]), colors="white", linewidths=1.2))
+    axes.set_facecolor("0.6")
+
+
+def find_points_inside(points: Array, box: Bounds) -> NDArray[np.bool_]:
+    """Tell which points (n, 2) lie in a box, (n,)."""
+    low, high = box[:2], box[2:]
+    is_inside = (points >= low) & (points <= high)
+    return np.asarray(is_inside.all(axis=1))
 
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
-MEASURES: tuple[Measure, ...] = ("infinitesimal", "green-lagrange", "hencky")
 NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
 """What of a tensor is drawn."""
 
@@ -216,8 +254,6 @@ PANELS = ("xx", "yy", "xy")
 
 NAMES = {"infinitesimal": "Strain", "green-lagrange": "Green-Lagrange strain", "hencky": "Logarithmic strain"}
 SYMBOLS = {"xx": "xx", "yy": "yy", "xy": "xy", "principal-1": "1", "principal-2": "2", "von-mises": "vM"}
-IN_THE_PLANE = [0, 1, 3]
-"""Of XX, YY, ZZ, XY, YZ, XZ."""
 
 
 @dataclass(frozen=True)
@@ -239,18 +275,15 @@ class StrainChoice:
     by_cell: bool = False
 
 
-def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
-                limits: Limits | None = None, of_panels: Sequence[Limits] | None = None,
-                image: Preview | None = None) -> Figure:
+def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS, limits: Limits | None = None,
+                of_panels: Sequence[Limits] | None = None, image: Preview | None = None) -> Figure:
     """Draw strain on the mesh at rest, in one panel or three, over the image where it is given.
 
     ``of_panels`` are limits of the colours of each panel, in place of ``limits``. Raises InputError where the result
     has no strain at nodes.
     """
     panels = list_strain_panels(result, choice)
-    if of_panels is not None:
-        panels = [replace(panel, limits=own) for panel, own in zip(panels, of_panels, strict=True)]
-    return draw_values(result.mesh, panels, image, unit, limits)
+    return draw_values(result.mesh, panels, image, unit, of_panels or [limits] * len(panels))
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
@@ -270,28 +303,147 @@ def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
     return panels
 
 
-def pick_tensors(result: Result, choice: StrainChoice) -> NDArray[np.float64]:
+def pick_tensors(result: Result, choice: StrainChoice) -> Array:
     """Pick the strain tensors xx, yy, xy of a result, (n_nodes, 3) or (n_cells, 3).
 
     Raises InputError where the result has no strain at nodes.
     """
     if choice.by_cell:
         name = schema.STRAIN_INFINITESIMAL if choice.measure == "infinitesimal" else schema.STRAIN_GREEN_LAGRANGE
-        tensors: NDArray[np.float64] = result.cell_data[name][:, IN_THE_PLANE]
+        tensors = schema.pick_in_the_plane(result.cell_data[name])
         return compute_hencky(tensors) if choice.measure == "hencky" else tensors
-    name = {"infinitesimal": schema.NODAL_INFINITESIMAL, "green-lagrange": schema.NODAL_GREEN_LAGRANGE,
-            "hencky": schema.NODAL_HENCKY}[choice.measure]
+    name = schema.NODAL_STRAINS[choice.measure]
     if name not in result.point_data:
         raise InputError(f"{result.path}: holds no strain at nodes (written before schema 1.6); add --by-cell, or run "
                          "ddic again")
-    at_nodes: NDArray[np.float64] = result.point_data[name][:, IN_THE_PLANE]
-    return at_nodes
+    return schema.pick_in_the_plane(result.point_data[name])
 
 
-def pick_number(tensors: NDArray[np.float64], number: str) -> NDArray[np.float64]:
+def pick_number(tensors: Array, number: str) -> Array:
     """Pick a component, a principal value or the equivalent strain, one of NUMBERS, of tensors xx, yy, xy, (n, 3)."""
     if number in PANELS:
         return tensors[:, PANELS.index(number)]
     if number == "von-mises":
         return compute_von_mises_strain(tensors)
     return find_principal_strains(tensors)[:, 0 if number == "principal-1" else 1]
+
+
+VISIBLE_SHARE = 0.05
+"""Largest displacement that is drawn, relative to the mesh, where cells bear it; a larger value exaggerates more."""
+
+LARGEST_STRETCH = 0.5
+"""Largest gradient of what is drawn: no cell is squeezed to less than the half. Below 1 no cell folds."""
+
+MOST_CELLS_WITH_EDGES = 20_000
+"""Cells up to which their edges are drawn; a larger value makes fine meshes black."""
+
+
+@dataclass(frozen=True)
+class SharedView:
+    """How several results are drawn alike.
+
+    Attributes
+    ----------
+    factor : float
+        By which the displacement without its rigid motion is amplified, where the user asks for nothing else.
+    bounds : (float, float, float, float)
+        x0, y0, x1, y1 of the axes, in their unit.
+    """
+
+    factor: float
+    bounds: Bounds
+
+
+def choose_amplification(result: Result) -> float:
+    """Choose an amplification, one digit, of the displacement without its rigid motion.
+
+    It makes that 5 % of the mesh, or less where the largest gradient of the displacement would fold cells, and is at
+    least 1. Raises InputError where no cell was measured.
+    """
+    mesh, displacement = _keep_measured(result)
+    return _choose_factor(result, mesh, project_rigid_motion_out(mesh.nodes, displacement))
+
+
+def _choose_factor(result: Result, mesh: Mesh, departure: Array) -> float:
+    """An amplification of the displacement of the measured cells without its rigid motion."""
+    largest = float(np.abs(departure).max())
+    if largest == 0.0:
+        return 1.0
+    wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / largest
+    limit = LARGEST_STRETCH / max(find_largest_gradient(mesh, departure), 1e-300)
+    factor = float(f"{wanted:.0e}")
+    return max(1.0, factor if factor <= limit else _round_down(limit))
+
+
+def find_shared_view(results: Iterable[Result], amplification: float | None, unit: LengthUnit) -> SharedView:
+    """Find a factor, the least among theirs, and axes that suit all of several results, each looked at once.
+
+    ``amplification`` is that of the whole displacement, where the user asks for it. Raises InputError where no cell of
+    one was measured.
+    """
+    factors, boxes, moves = [], [], []
+    for result in results:
+        mesh, displacement = _keep_measured(result)
+        departure = project_rigid_motion_out(mesh.nodes, displacement)
+        # What stands still looks alike by any factor.
+        factors += [_choose_factor(result, mesh, departure)] if departure.any() else []
+        shown = departure if amplification is None else displacement
+        boxes.append((result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)))
+        moves.append((np.minimum(shown.min(axis=0), 0.0), np.maximum(shown.max(axis=0), 0.0)))
+    factor = min(factors, default=1.0)
+    scale = factor if amplification is None else amplification
+    # Two opposite corners that no node passes, whichever moves farthest.
+    corners = np.array(boxes) + scale * (np.array(moves) if scale >= 0 else np.array(moves)[:, ::-1])
+    return SharedView(factor, canvas.find_mesh_bounds(unit.size * corners.reshape(-1, 2)))
+
+
+def _keep_measured(result: Result) -> tuple[Mesh, Array]:
+    """The cells whose nodes all were measured, and the displacement of their nodes, pixels."""
+    cells = result.mesh.find_cells_among(result.measured_nodes)
+    if not len(cells):
+        raise InputError(f"{result.path}: no cell was measured, of which a deformed mesh could be drawn")
+    if len(cells) == result.mesh.n_cells:
+        return result.mesh, result.displacement
+    mesh, node_ids = result.mesh.create_submesh(cells)
+    return mesh, result.displacement[node_ids]
+
+
+def _round_down(value: float) -> float:
+    """The largest number of one digit that is not above a positive one."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return math.floor(value / power) * power
+
+
+def draw_deformed(result: Result, component: Component = "magnitude", amplification: float | None = None,
+                  unit: LengthUnit = PIXELS, limits: Limits | None = None, shared: SharedView | None = None) -> Figure:
+    """Draw the mesh moved by its amplified displacement, over the whole mesh at rest in grey.
+
+    Cells with a node that was not measured are drawn at rest alone. ``amplification`` is of the whole displacement,
+    rigid motion and all; where it is left out, one that shows the displacement without its rigid motion and folds no
+    cell. ``shared`` is of several results that are drawn alike; where it is left out, what fits this one. ``limits`` of
+    the colours are in the unit. Raises InputError where no cell was measured.
+    """
+    mesh, displacement = _keep_measured(result)
+    rest = unit.size * result.mesh.nodes
+    if amplification is None:
+        departure = project_rigid_motion_out(mesh.nodes, displacement)
+        factor = _choose_factor(result, mesh, departure) if shared is None else shared.factor
+        moved = unit.size * (mesh.nodes + factor * departure)
+        title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
+    else:
+        moved = unit.size * (mesh.nodes + amplification * displacement)
+        n_folded = count_folded_cells(mesh, moved)
+        folded = f"; {n_folded} cells are folded" if n_folded else ""
+        title = f"Deformed mesh, displacement amplified {amplification:g} times{folded}"
+    bounds = canvas.find_mesh_bounds(np.concatenate([rest, moved])) if shared is None else shared.bounds
+    figure, axes = canvas.make_image_figure(bounds, title, unit)
+    at_rest = canvas.make_cell_polygons(result.mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3)
+    axes.add_collection(at_rest)
+    values = unit.size * canvas.pick_component(displacement, component)
+    colours = canvas.draw_nodal_colours(axes, mesh, moved, values, canvas.choose_limits(values, limits))
+    if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
+        edges = canvas.make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
+                                          rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
+        axes.add_collection(edges)
+    canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label("u", component, unit))
+    return figure

@@ -16,17 +16,11 @@ from numpy.typing import NDArray
 
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
-from ddic.plots.canvas import (
-    MOST_SHARP_CELLS,
-    PIXELS,
-    POINTS_AN_INCH,
-    LengthUnit,
-    find_mesh_bounds,
-    make_cell_polygons,
-    make_image_figure,
-    set_bounds,
-)
-from ddic.plots.maps import Preview
+from ddic.plots import canvas
+from ddic.plots.canvas import PIXELS, LengthUnit
+from ddic.plots.maps import Preview, make_figure_over
+
+Array = NDArray[np.float64]
 
 PALETTE = np.array([[0.902, 0.624, 0.0], [0.337, 0.706, 0.914], [0.0, 0.620, 0.451], [0.941, 0.894, 0.259],
                     [0.0, 0.447, 0.698], [0.835, 0.369, 0.0], [0.800, 0.475, 0.655]])
@@ -49,23 +43,18 @@ SMALLEST_POINTS, LARGEST_POINTS = 3.0, 12.0
 def draw_partition(result: Result, image: Preview | None = None, unit: LengthUnit = PIXELS) -> Figure:
     """Draw numbered subdomains in colour with the bounding box of each (its sub-image without halo)."""
     mesh, nodes = result.mesh, unit.size * result.mesh.nodes
-    bounds = find_mesh_bounds(nodes, MARGIN)
-    if image is not None:
-        bounds = image.clip(bounds, unit.size)
     plural = "" if result.n_subdomains == 1 else "s"
     title = f"Partition: {mesh.n_cells} cells, {result.n_subdomains} subdomain{plural}"
-    figure, axes = make_image_figure(bounds, title, unit, beside=MARGIN_INCHES)
+    figure, axes = make_figure_over(image, canvas.find_mesh_bounds(nodes, MARGIN), title, unit, MARGIN_INCHES)
     width, height = axes.get_position().size * figure.get_size_inches()
-    if image is not None:
-        image.draw(axes, unit.size)
-        set_bounds(axes, bounds)
     chosen = choose_colours(mesh, result.subdomain_ids)
     colours = PALETTE[chosen[result.subdomain_ids]]
-    axes.add_collection(make_cell_polygons(mesh, nodes, facecolors=colours, edgecolors="black", linewidths=0.15,
-                                           alpha=0.5, rasterized=mesh.n_cells > MOST_SHARP_CELLS))
+    polygons = canvas.make_cell_polygons(mesh, nodes, facecolors=colours, edgecolors="black", linewidths=0.15,
+                                         alpha=0.5, rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
+    axes.add_collection(polygons)
     for subdomain in np.unique(result.subdomain_ids).tolist():
         cells = np.flatnonzero(result.subdomain_ids == subdomain)
-        axes.add_patch(_draw_box(_corners(mesh, nodes, cells), PALETTE[chosen[subdomain]]))
+        axes.add_patch(_draw_box(mesh, nodes, cells, PALETTE[chosen[subdomain]]))
         side = float(np.sqrt(width * height * len(cells) / mesh.n_cells))
         _write_number(axes, unit.size * mesh.centroids[cells], subdomain, side)
     return figure
@@ -96,23 +85,19 @@ def choose_colours(mesh: Mesh, subdomain_ids: NDArray[np.int64]) -> NDArray[np.i
     return chosen
 
 
-def _corners(mesh: Mesh, nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Corners of some cells, one after the other, (n, 2)."""
-    of_cells = mesh.cells[cells]
-    return np.asarray(nodes[of_cells[of_cells >= 0]])
-
-
-def _draw_box(corners: NDArray[np.float64], colour: NDArray[np.float64]) -> Rectangle:
+def _draw_box(mesh: Mesh, nodes: Array, cells: NDArray[np.int64], colour: Array) -> Rectangle:
     """The bounding box of a subdomain's cells."""
+    of_cells = mesh.cells[cells]
+    corners = nodes[of_cells[of_cells >= 0]]
     x0, y0 = corners.min(axis=0)
     x1, y1 = corners.max(axis=0)
     return Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=colour, linewidth=1.6, linestyle="--")
 
 
-def _write_number(axes: Axes, middles: NDArray[np.float64], subdomain: int, side: float) -> None:
+def _write_number(axes: Axes, middles: Array, subdomain: int, side: float) -> None:
     """Write a subdomain's number on the cell that is nearest to the middle of all; side: about its own, inches."""
     x, y = middles[np.linalg.norm(middles - middles.mean(axis=0), axis=1).argmin()]
-    size = SHARE_OF_NUMBER * POINTS_AN_INCH * side
+    size = SHARE_OF_NUMBER * canvas.POINTS_AN_INCH * side
     if size < SMALLEST_POINTS:
         return
     axes.text(x, y, str(subdomain), ha="center", va="center", fontsize=min(size, LARGEST_POINTS), fontweight="bold",
@@ -129,16 +114,15 @@ LONGEST_NAME = 12
 """Characters of a node set's name; a larger value needs more room beside the axes."""
 
 
-def draw_mesh_preview(mesh: Mesh, image: Preview, lines: Sequence[NDArray[np.float64]] = ()) -> Figure:
+def draw_mesh_preview(mesh: Mesh, image: Preview, lines: Sequence[Array] = ()) -> Figure:
     """Draw a mesh, its node sets and the lines (n_vertices, 2) that cut it, pixels, over the reference image."""
-    bounds = image.clip(find_mesh_bounds(mesh.nodes, MARGIN))
     sets = {name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)}
-    figure, axes = make_image_figure(bounds, f"Mesh: {mesh.n_nodes} nodes, {mesh.n_cells} cells")
-    image.draw(axes)
-    set_bounds(axes, bounds)
-    axes.add_collection(make_cell_polygons(mesh, mesh.nodes, facecolors=(0.337, 0.706, 0.914, 0.25),
-                                           edgecolors=tuple(PALETTE[4]), linewidths=0.4,
-                                           rasterized=mesh.n_cells > MOST_SHARP_CELLS))
+    title = f"Mesh: {mesh.n_nodes} nodes, {mesh.n_cells} cells"
+    figure, axes = make_figure_over(image, canvas.find_mesh_bounds(mesh.nodes, MARGIN), title)
+    cells = canvas.make_cell_polygons(mesh, mesh.nodes, facecolors=(0.337, 0.706, 0.914, 0.25),
+                                      edgecolors=tuple(PALETTE[4]), linewidths=0.4,
+                                      rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
+    axes.add_collection(cells)
     for k, (name, nodes) in enumerate(list(sets.items())[:MOST_NAMED]):
         axes.plot(*mesh.nodes[nodes].T, MARKERS[k % len(MARKERS)], color=PALETTE[k % len(PALETTE)], markersize=3.5,
                   markeredgecolor="black", markeredgewidth=0.3, label=f"{_shorten(name)} ({len(nodes)})")

@@ -15,18 +15,8 @@ from numpy.typing import NDArray
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import RESIDUAL_RMS
-from ddic.plots.canvas import (
-    MOST_SHARP_CELLS,
-    PIXELS,
-    LengthUnit,
-    Limits,
-    add_colour_bar,
-    choose_limits,
-    find_mesh_bounds,
-    make_cell_polygons,
-    make_image_figure,
-    set_bounds,
-)
+from ddic.plots import canvas
+from ddic.plots.canvas import PIXELS, LengthUnit, Limits
 from ddic.plots.maps import LARGEST_SIDE, find_thinned_extent
 
 PALETTE, SIGNED_PALETTE = "magma", "RdBu_r"
@@ -48,20 +38,18 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
             raise InputError(f"{result.path}: holds no residual image, hence no signs; measure with "
                              "output.residual_image = true, or choose --kind residual")
         return _by_cell(result, unit, limits)
-    bounds = find_mesh_bounds(unit.size * result.mesh.nodes)
+    bounds = canvas.find_mesh_bounds(unit.size * result.mesh.nodes)
     std = float(np.nanstd(image)) if np.isfinite(image).any() else float("nan")
     name = "Signed correlation residual" if signed else "Correlation residual"
-    figure, axes = make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
-    step = -(-max(image.shape) // LARGEST_SIDE)
-    shown = image[::step, ::step] if signed else np.abs(image[::step, ::step])
-    extent = find_thinned_extent(shown.shape, step)
-    low, high = limits or _span_shown(shown, signed)
-    left, right, bottom, top = (unit.size * edge for edge in extent)
-    colours = axes.imshow(shown, cmap=SIGNED_PALETTE if signed else PALETTE, vmin=low, vmax=high,
-                          interpolation="nearest", extent=(left, right, bottom, top), rasterized=True)
-    set_bounds(axes, bounds)
+    figure, axes = canvas.make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
+    thinned, step = _thin(image)
+    low, high = limits or _span_shown(thinned, signed)
+    colours = axes.imshow(thinned if signed else np.abs(thinned), cmap=SIGNED_PALETTE if signed else PALETTE, vmin=low,
+                          vmax=high, interpolation="nearest", rasterized=True,
+                          extent=find_thinned_extent(thinned.shape, step, unit.size))
+    canvas.set_bounds(axes, bounds)
     symbol = "$f(x) - g(x + u)$" if signed else "$|f(x) - g(x + u)|$"
-    add_colour_bar(figure, axes, colours, f"{symbol} [{LABEL}]")
+    canvas.add_colour_bar(figure, axes, colours, f"{symbol} [{LABEL}]")
     return figure
 
 
@@ -69,9 +57,14 @@ def find_residual_limits(result: Result, *, signed: bool = False) -> Limits:
     """Find where the colours of a residual begin and end, grey levels."""
     image = result.residual_image
     if image is None:
-        return choose_limits(result.cell_data[RESIDUAL_RMS])
+        return canvas.choose_limits(result.cell_data[RESIDUAL_RMS])
+    return _span_shown(_thin(image)[0], signed)
+
+
+def _thin(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
+    """What a figure can show of an image, and the pixels from one that is kept to the next."""
     step = -(-max(image.shape) // LARGEST_SIDE)
-    return _span_shown(image[::step, ::step], signed)
+    return image[::step, ::step], step
 
 
 def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:
@@ -85,11 +78,9 @@ def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:
 def _by_cell(result: Result, unit: LengthUnit, limits: Limits | None) -> Figure:
     """RMS by cell in colour."""
     nodes, values = unit.size * result.mesh.nodes, result.cell_data[RESIDUAL_RMS]
-    figure, axes = make_image_figure(find_mesh_bounds(nodes), "Correlation residual by cell", unit)
-    cells = make_cell_polygons(result.mesh, nodes, array=values, cmap=PALETTE, edgecolors="face", linewidths=0.1,
-                               clim=choose_limits(values, limits), rasterized=result.mesh.n_cells > MOST_SHARP_CELLS)
-    axes.add_collection(cells)
-    add_colour_bar(figure, axes, cells, f"RMS of $f(x) - g(x + u)$ [{LABEL}]")
+    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), "Correlation residual by cell", unit)
+    cells = canvas.draw_cell_colours(axes, result.mesh, nodes, values, canvas.choose_limits(values, limits), PALETTE)
+    canvas.add_colour_bar(figure, axes, cells, f"RMS of $f(x) - g(x + u)$ [{LABEL}]")
     return figure
 
 
@@ -109,19 +100,20 @@ def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
     """
     values = residual[np.isfinite(residual)].astype(np.float64)
     std = float(values.std()) if values.size else 1.0
-    edge = WIDEST * (std or 1.0)
+    # Of a residual of one value, such as 0, the curve is that of any deviation.
+    std = std or 1.0
+    edge = WIDEST * std
     figure = Figure(figsize=(5.0, 3.4), layout="tight")
     axes = figure.subplots()
     counts, edges = np.histogram(values, bins=N_BINS, range=(-edge, edge))
     density = counts / max(values.size, 1) / np.diff(edges)
     axes.stairs(density, edges, fill=True, color="tab:blue", alpha=0.6, label="residual")
     x = np.linspace(-edge, edge, 400)
-    axes.plot(x, np.exp(-0.5 * (x / (std or 1.0))**2) / ((std or 1.0) * np.sqrt(2.0 * np.pi)), color="black",
-              linewidth=1.2, label="normal, same deviation")
+    normal = np.exp(-0.5 * (x / std)**2) / (std * np.sqrt(2.0 * np.pi))
+    axes.plot(x, normal, color="black", linewidth=1.2, label="normal, same deviation")
     axes.set_yscale("log")
-    axes.set_ylim(bottom=1e-6 / (std or 1.0))
-    axes.set_xlabel("$f(x) - g(x + u)$ [grey levels]")
-    axes.set_ylabel("density [1 / grey level]")
+    axes.set_ylim(bottom=1e-6 / std)
+    axes.set(xlabel="$f(x) - g(x + u)$ [grey levels]", ylabel="density [1 / grey level]")
     axes.legend(fontsize="small", loc="lower center")
     return figure
 
@@ -138,8 +130,7 @@ def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:
     for (name, pixels), colour in zip(finite.items(), HISTOGRAM_COLOURS, strict=False):
         density = np.histogram(pixels, edges)[0] / pixels.size / width
         axes.stairs(density, edges, color=colour, linewidth=1.4, label=name)
-    axes.set_xlabel("grey level")
-    axes.set_ylabel("density [1 / grey level]")
+    axes.set(xlabel="grey level", ylabel="density [1 / grey level]")
     axes.set_ylim(bottom=0.0)
     axes.legend(fontsize="small")
     return figure

@@ -6,7 +6,7 @@ Pages that are shown one after the other, as GIF or MP4.
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,15 @@ from matplotlib import animation
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
 from ddic.errors import InputError
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.series_reader import SeriesHistory
-from ddic.plots.canvas import FAILURE_COLOUR, PIXELS, LengthUnit, format_title, make_room_above
+from ddic.plots import canvas
+from ddic.plots.canvas import PIXELS, LengthUnit
 
 Array = NDArray[np.float64]
 
@@ -30,8 +31,6 @@ BLUE, ORANGE = "tab:blue", "tab:orange"
 
 MOST_MARKERS = 60
 """Frames up to which markers are large; a larger value makes curves of long series thick."""
-
-TITLE_POINTS = 11.0
 
 SHARE_ABOVE = 1.15
 """Height of panels that begin at 0, relative to their largest value."""
@@ -60,18 +59,18 @@ def draw_time_curves(history: SeriesHistory, name: str, unit: LengthUnit = PIXEL
     panels[4].set_xlabel("time")
     if np.all(history.times == np.round(history.times)):
         panels[4].xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True))
-    figure.suptitle(_write_title(history, name), fontsize=TITLE_POINTS)
+    figure.suptitle(_write_title(history, name), fontsize=canvas.TITLE_POINTS)
     return figure
 
 
 def _set_up_panel(axes: Axes, history: SeriesHistory) -> None:
     """Marks of frames that were not measured, a grid, numbers, and the legend where there are several curves."""
     n_curves = len(axes.get_legend_handles_labels()[1])
-    _mark_failures(axes, history)
+    for number, time in enumerate(history.times[~history.is_measured]):
+        axes.axvline(time, color=canvas.FAILURE_COLOUR, linestyle="--", linewidth=1.0,
+                     label="not measured" if number == 0 else None)
     axes.grid(alpha=0.25)
-    numbers = ScalarFormatter(useMathText=True)
-    numbers.set_powerlimits((-2, 4))
-    axes.yaxis.set_major_formatter(numbers)
+    canvas.write_powers_of_ten(axes.yaxis)
     if n_curves:
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), borderaxespad=0.0)
 
@@ -79,7 +78,7 @@ def _set_up_panel(axes: Axes, history: SeriesHistory) -> None:
 def _write_title(history: SeriesHistory, name: str) -> str:
     n_frames, n_failed = len(history.times), int((~history.is_measured).sum())
     failed = f", {n_failed} of them not measured" if n_failed else ""
-    return format_title(f"{name}: {n_frames} frames{failed}", PAGE_INCHES[0] - 0.4, TITLE_POINTS)
+    return canvas.format_title(f"{name}: {n_frames} frames{failed}", PAGE_INCHES[0] - 0.4, canvas.TITLE_POINTS)
 
 
 def _draw_displacement(axes: Axes, history: SeriesHistory, unit: LengthUnit) -> None:
@@ -108,12 +107,6 @@ def _draw_curve(axes: Axes, history: SeriesHistory, values: Array, colour: str, 
     axes.plot(history.times, values, "o-", markersize=size, color=colour, linewidth=1.4, label=label or None)
 
 
-def _mark_failures(axes: Axes, history: SeriesHistory) -> None:
-    for number, time in enumerate(history.times[~history.is_measured]):
-        axes.axvline(time, color=FAILURE_COLOUR, linestyle="--", linewidth=1.0,
-                     label="not measured" if number == 0 else None)
-
-
 N_GREYS, N_OF_SCALE = 32, 128
 """Colours of a GIF that are kept for texts and images, and for colour bars; the other ones of 256 are found."""
 
@@ -133,28 +126,29 @@ def write_animation(path: Path, pages: Iterable[Figure], height: float, fps: flo
     Each is drawn when it is its turn. ``height`` is that of the highest page, inches; the others grow to it. Raises
     InputError where ffmpeg fails.
     """
-    fitted = (_grow_page(page, height) for page in pages)
     with replaced_on_exit(path) as temporary:
         if path.suffix == ".mp4":
             try:
-                _write_mp4(temporary, fitted, fps, dpi)
+                _write_mp4(temporary, _grow_pages(pages, height), fps, dpi)
             except (subprocess.CalledProcessError, BrokenPipeError) as error:
                 raise InputError(f"{path}: ffmpeg failed ({error}); leave --format out (GIF)") from error
         else:
-            _write_gif(temporary, fitted, fps, dpi)
+            first, *others = [_render(page, dpi) for page in _grow_pages(pages, height)]
+            first.save(temporary, format="GIF", save_all=True, append_images=others, duration=round(1000 / fps), loop=0)
 
 
-def _write_gif(path: Path, pages: Iterable[Figure], fps: float, dpi: int) -> None:
-    first, *others = [_render(page, dpi) for page in pages]
-    first.save(path, format="GIF", save_all=True, append_images=others, duration=round(1000 / fps), loop=0)
+def _grow_pages(pages: Iterable[Figure], height: float) -> Iterator[Figure]:
+    for page in pages:
+        canvas.make_room_above(page, height - page.get_size_inches()[1])
+        yield page
 
 
 def _render(page: Figure, dpi: int) -> Image.Image:
     """A page in 256 colours."""
-    canvas = FigureCanvasAgg(page)
+    agg = FigureCanvasAgg(page)
     page.set_dpi(dpi)
-    canvas.draw()
-    drawn = Image.fromarray(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+    agg.draw()
+    drawn = Image.fromarray(np.ascontiguousarray(np.asarray(agg.buffer_rgba())[..., :3]))
     return drawn.quantize(palette=_choose_palette(page, drawn), dither=Image.Dither.FLOYDSTEINBERG)
 
 
@@ -188,8 +182,3 @@ def _write_mp4(path: Path, pages: Iterable[Figure], fps: float, dpi: int) -> Non
         writer.fig = page
         writer.grab_frame()
     writer.finish()
-
-
-def _grow_page(page: Figure, height: float) -> Figure:
-    make_room_above(page, height - page.get_size_inches()[1])
-    return page

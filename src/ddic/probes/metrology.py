@@ -1,14 +1,19 @@
 """Spatial resolution and noise floor of probes, and what one costs in the other (docs/probes.md).
 
-They follow from how probes answer to a wave of the displacement exp(i k.x), the elements' part included.
+They follow from how probes answer to a wave of the displacement exp(i k.x), and from what elements and regularization
+do to it: a wave of wave vector k (rad/px) is measured with the share of its amplitude that linear elements of spacing h
+follow and that equilibrium leaves. Noise of the images makes noise of the displacement with the spectrum of
+A^-1 M A^-1: where the mesh is regular, the texture even and A = M + eta Kbar^T Kbar, that is r(k)^2 / m(k), r the share
+that equilibrium leaves of a wave of that direction and m the spectrum of the elements' shape functions. Its level is
+that of the noise floor; only its shape is modelled.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +21,144 @@ from scipy.optimize import brentq
 
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
+from ddic.mesh.cell_type import T3
 from ddic.mesh.interpolation import interpolate_located, locate
-from ddic.probes.displacement_chain import DisplacementChain, evaluate_sinc, find_chain
+from ddic.mesh.quality import measure_covered_areas
 from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge
 from ddic.probes.read_probe import list_samples
 
 Array = NDArray[np.float64]
+
+ORDERS = {"equilibrium_gap": 4, "tikhonov": 2}
+"""Power of wavelength with which a regularization fades: fourth of the equilibrium gap, second of Tikhonov's term."""
+
+N_WAVES = 512
+"""Wave numbers along each axis of the integrals over spectra; twice as many change noise by less than a per cent."""
+
+DOMAINS = 4.0
+"""Length of the domain whose waves are summed, in units of the longest thing in it: twice as long changes noise by
+less than a per cent."""
+
+
+@dataclass(frozen=True)
+class DisplacementChain:
+    """Elements and regularization, as waves of the displacement see them.
+
+    Attributes
+    ----------
+    spacing : float
+        Between nodes, pixels.
+    shear, longitudinal : float
+        Wavelengths of which the regularization leaves a half, across and along their direction, pixels; 0 without
+        regularization, nan where they are not known.
+    order : int
+        Power of the wavelength with which the regularization fades.
+    """
+
+    spacing: float
+    shear: float = 0.0
+    longitudinal: float = 0.0
+    order: int = 4
+
+    @property
+    def longest(self) -> float:
+        """The longest length of the chain, over which its noise is correlated, pixels."""
+        return float(np.max([self.spacing, self.shear, self.longitudinal]))
+
+    def keep_by_elements(self, wave_number: Array) -> Array:
+        """Find the share of a wave's amplitude that linear elements follow, fitted by least squares.
+
+        ``wave_number`` is along the wave, rad/px; the share is 1 for long waves.
+        """
+        return np.asarray(evaluate_sinc(0.5 * wave_number * self.spacing)**4 / self.weigh_shapes(wave_number))
+
+    def keep_by_regularization(self, wave_number: Array, half: float) -> Array:
+        """Find the share of a wave's amplitude that the regularization leaves; 1 for long waves.
+
+        ``half`` is the wavelength of which a half is left, pixels, 0 without regularization; wave numbers are in
+        rad/px.
+        """
+        return np.asarray(1.0 / (1.0 + (np.abs(wave_number) * half / (2.0 * np.pi))**self.order))
+
+    def weigh_shapes(self, wave_number: Array) -> Array:
+        """Weigh the squares of linear elements by waves: the spectrum of the products of their shape functions.
+
+        Mean square over an element of a wave whose nodes have that of 1, 1 for long waves; ``wave_number`` is along one
+        axis, rad/px.
+        """
+        return np.asarray((2.0 + np.cos(wave_number * self.spacing)) / 3.0)
+
+    def make_waves(self, length: float) -> Array:
+        """List wave vectors (n, 2), a regular grid, rad/px, over which the noise of something of some length is summed.
+
+        ``length`` is of what asks for the displacement, pixels.
+        """
+        step = 2.0 * np.pi / (DOMAINS * max(length, 2.0 * self.longest))
+        highest = min(np.pi / self.spacing, 0.5 * N_WAVES * step)
+        n = int(np.ceil(2.0 * highest / step))
+        axis = highest * (2.0 * (np.arange(n) + 0.5) / n - 1.0)
+        return np.column_stack([grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij")])
+
+    def predict_noise(self, waves: Array) -> Array:
+        """Predict how unit noise of a component of the nodes' displacements is spread over waves.
+
+        Covariance (n, 2, 2) of the two components in each wave of ``make_waves``; the variance of a component is the
+        sum.
+        """
+        return np.asarray(self._shape_noise(waves) * (_find_cell(waves) / self._total))
+
+    @cached_property
+    def _total(self) -> float:
+        """Mean variance of the two components under the shape of the spectrum."""
+        waves = self.make_waves(0.0)
+        return float(0.5 * np.einsum("nii->", self._shape_noise(waves)) * _find_cell(waves))
+
+    def _shape_noise(self, waves: Array) -> Array:
+        """The spectrum but for its level, (n, 2, 2)."""
+        size = np.linalg.norm(waves, axis=1)
+        along = waves / np.maximum(size, 1e-300)[:, None]
+        mass = self.weigh_shapes(waves[:, 0]) * self.weigh_shapes(waves[:, 1])
+        longitudinal = self.keep_by_regularization(size, self.longitudinal)**2 / mass
+        shear = self.keep_by_regularization(size, self.shear)**2 / mass
+        lengthwise = along[:, :, None] * along[:, None, :]
+        across = np.eye(2) - lengthwise
+        return np.asarray(longitudinal[:, None, None] * lengthwise + shear[:, None, None] * across)
+
+
+def evaluate_sinc(x: Array) -> Array:
+    """Evaluate sin x / x, 1 at 0, of radians."""
+    return np.asarray(np.sinc(x / np.pi))
+
+
+def find_chain(result: Result, cells: NDArray[np.int64]) -> DisplacementChain:
+    """Find the elements and the regularization of a result, with the mean spacing of the nodes of some cells.
+
+    Those are the cells about which is asked, all where ``cells`` is empty.
+    """
+    case = result.attributes.get(schema.CASE, {})
+    section = schema.parse_case(result.attributes).get("regularization") or {}
+    # A weight given as eta says nothing of wavelengths.
+    unknown = math.nan if section else 0.0
+    return DisplacementChain(_find_spacing(result, cells), float(case.get("half_amplitude_shear_px", unknown)),
+                             float(case.get("half_amplitude_longitudinal_px", unknown)),
+                             ORDERS[str(section.get("operator", "equilibrium_gap"))])
+
+
+def _find_spacing(result: Result, cells: NDArray[np.int64]) -> float:
+    """Mean spacing of nodes: the root of a square's area, or of two triangles'."""
+    if result.separated is not None:
+        axes = (result.separated.along_x.nodes, result.separated.along_y.nodes)
+        return float(np.sqrt(np.prod([np.ptp(nodes) / (len(nodes) - 1) for nodes in axes])))
+    areas, _ = measure_covered_areas(result.mesh)
+    of_nodes = np.where(result.mesh.types == T3.vtk, 2.0 * areas, areas)
+    return float(np.sqrt(of_nodes[cells] if len(cells) else of_nodes).mean())
+
+
+def _find_cell(waves: Array) -> float:
+    """Area of the plane of wave vectors that each of a regular grid stands for."""
+    step = abs(float(waves[1, 1] - waves[0, 1])) if len(waves) > 1 else 1.0
+    return step * step
+
 
 SMALL = 1e-3
 """Radians below which the slope's answer is written as a series: its quotient would lose its digits."""
@@ -91,10 +228,6 @@ def _fit_slope(half: Array) -> Array:
 KEPT = 0.9
 """Share of a wave's amplitude that is left at the spatial resolution."""
 
-SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v")
-SIGMA_STRAIN = ("sigma_exx", "sigma_eyy")
-"""Fields of standard deviations at nodes, where a result has them."""
-
 KEPT_PROBES = 1024
 """Probes whose resolution and noise are kept for the next frame, which has the same; more take a few bytes each."""
 
@@ -158,20 +291,20 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
     samples = list_samples(probe)
     cells = locate(result.mesh, samples).cells
     chain = find_chain(result, cells[cells >= 0])
-    level = _find_level(result, samples, SIGMA_DISPLACEMENT) if noise is None else noise
+    level = _find_level(result, samples, schema.SIGMA_DISPLACEMENT) if noise is None else noise
     if math.isnan(level) and noise is None:
         level = float(result.attributes.get(schema.CASE, {}).get(schema.NOISE_FLOOR, math.nan))
     notes = ["the result records no noise floor"] if math.isnan(level) else []
     if math.isnan(chain.longest):
         notes.append("regularized by eta: no cut-off wavelength is recorded")
         return Metrology(level, math.nan, math.nan, math.nan, "; ".join(notes))
-    of_strain = math.nan if noise is not None else _find_level(result, samples, SIGMA_STRAIN)
+    of_strain = math.nan if noise is not None else _find_level(result, samples, schema.SIGMA_NODAL_STRAIN[:2])
     is_local = isinstance(probe, PointProbe | LineProbe) and not math.isnan(of_strain)
     strain_noise = of_strain if is_local else level * find_strain_noise(probe, chain)
-    if isinstance(probe, Extensometer):
-        return Metrology(math.nan, math.nan, strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
-    return Metrology(level * find_displacement_noise(probe, chain), find_displacement_resolution(probe, chain),
-                     strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
+    of_displacement = math.nan, math.nan
+    if not isinstance(probe, Extensometer):
+        of_displacement = level * find_displacement_noise(probe, chain), find_displacement_resolution(probe, chain)
+    return Metrology(*of_displacement, strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
@@ -247,7 +380,7 @@ def _find_size(probe: Probe) -> float:
     return probe.length if isinstance(probe, Extensometer) else max(probe.length, probe.across)
 
 
-def _find_level(result: Result, samples: Array, names: tuple[str, str]) -> float:
+def _find_level(result: Result, samples: Array, names: Sequence[str]) -> float:
     """RMS over some places of two fields of standard deviations; nan where the result has none."""
     if any(name not in result.point_data for name in names):
         return math.nan

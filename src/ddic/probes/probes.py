@@ -45,7 +45,32 @@ class PointProbe:
 
 
 @dataclass(frozen=True)
-class LineProbe:
+class _BetweenEnds:
+    """What has two ends, pixels of the reference image."""
+
+    name: str
+    start: Place
+    end: Place
+
+    def __post_init__(self) -> None:
+        _require_finite(self.name, *self.start, *self.end)
+        if self.length == 0.0:
+            raise InputError(f"{self.name}: both ends are ({self.start[0]:g}, {self.start[1]:g}); give two points")
+
+    @property
+    def length(self) -> float:
+        """Distance of the ends, pixels."""
+        return math.dist(self.start, self.end)
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector from the start to the end, (2,)."""
+        way = np.subtract(self.end, self.start)
+        return np.asarray(way / np.linalg.norm(way))
+
+
+@dataclass(frozen=True)
+class LineProbe(_BetweenEnds):
     """Displacement and strain at evenly spaced places along a line.
 
     Attributes
@@ -58,32 +83,19 @@ class LineProbe:
         Between places, pixels, or a little less so that both ends are places.
     """
 
-    name: str
-    start: Place
-    end: Place
     spacing: float = 1.0
 
     def __post_init__(self) -> None:
         _require_finite(self.name, *self.start, *self.end, self.spacing)
-        _require_apart(self.name, self.start, self.end)
+        super().__post_init__()
         _require_positive(self.name, "spacing", self.spacing)
         if self.length / self.spacing > MOST_PLACES:
             raise InputError(f"{self.name}: {self.length / self.spacing:.3g} places along the line; {MOST_PLACES} are "
                              "the most, choose a larger spacing")
 
-    @property
-    def length(self) -> float:
-        """Distance of the ends, pixels."""
-        return math.dist(self.start, self.end)
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector from the start to the end, (2,)."""
-        return _find_direction(self.start, self.end)
-
 
 @dataclass(frozen=True)
-class Extensometer:
+class Extensometer(_BetweenEnds):
     """Engineering strain (L - L0) / L0 of the distance of two points.
 
     Attributes
@@ -91,26 +103,8 @@ class Extensometer:
     name : str
         In tables.
     start, end : (x, y)
-        Its ends, pixels of the reference image.
+        Its ends, pixels of the reference image, whose distance is the gauge length L0.
     """
-
-    name: str
-    start: Place
-    end: Place
-
-    def __post_init__(self) -> None:
-        _require_finite(self.name, *self.start, *self.end)
-        _require_apart(self.name, self.start, self.end)
-
-    @property
-    def length(self) -> float:
-        """Gauge length L0, pixels."""
-        return math.dist(self.start, self.end)
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector from the start to the end, (2,)."""
-        return _find_direction(self.start, self.end)
 
 
 @dataclass(frozen=True)
@@ -170,16 +164,6 @@ def _require_positive(name: str, key: str, value: float) -> None:
         raise InputError(f"{name}: {key} = {value:g}; a positive number of pixels expected")
 
 
-def _require_apart(name: str, start: Place, end: Place) -> None:
-    if math.dist(start, end) == 0.0:
-        raise InputError(f"{name}: both ends are ({start[0]:g}, {start[1]:g}); give two points")
-
-
-def _find_direction(start: Place, end: Place) -> Array:
-    way = np.subtract(end, start)
-    return np.asarray(way / np.linalg.norm(way))
-
-
 CLASSES: dict[str, type[Probe]] = {name: kind for kind, name in KINDS.items()}
 
 FORMS = {
@@ -237,13 +221,13 @@ def parse_probe(kind: str, name: str, text: str) -> Probe:
         numbers = []
     if not fewest <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
         raise InputError(f"--{kind} {text}: {form} expected, numbers in pixels")
+    first, rest = (numbers[0], numbers[1]), numbers[2:]
     if kind == "point":
-        return PointProbe(name, (numbers[0], numbers[1]))
+        return PointProbe(name, first)
     if kind == "gauge":
-        angle = numbers[3] if len(numbers) > 3 else 0.0
-        return StrainGauge(name, (numbers[0], numbers[1]), numbers[2], numbers[4] if len(numbers) > 4 else None, angle)
-    start, end = (numbers[0], numbers[1]), (numbers[2], numbers[3])
-    return Extensometer(name, start, end) if kind == "extensometer" else LineProbe(name, start, end, *numbers[4:])
+        return StrainGauge(name, first, **dict(zip(("length", "angle", "width"), rest, strict=False)))
+    second = (rest[0], rest[1])
+    return Extensometer(name, first, second) if kind == "extensometer" else LineProbe(name, first, second, *rest[2:])
 
 
 def _check_kind(kind: str, named: Any) -> Mapping[str, Any]:

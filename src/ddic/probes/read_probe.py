@@ -20,18 +20,12 @@ from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, Strai
 Array = NDArray[np.float64]
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
 
-IN_THE_PLANE = [0, 1, 3]
-"""xx, yy, xy of XX, YY, ZZ, XY, YZ, XZ."""
-
 MOST_SAMPLES = 64
 """Places along each side of a strain gauge at which its plane is fitted; there is one a pixel of small ones. More
 change the plane by less than a thousandth, and take longer."""
 
 FEWEST_SAMPLES = 4
 """The least number of them, for gauges of a few pixels."""
-
-NODAL = {"infinitesimal": schema.NODAL_INFINITESIMAL, "green-lagrange": schema.NODAL_GREEN_LAGRANGE,
-         "hencky": schema.NODAL_HENCKY}
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +113,7 @@ def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure
     def interpolate_strain(name: str) -> Array:
         if name not in result.point_data:
             return np.full((len(points), 3), np.nan)
-        tensors: Array = result.point_data[name][:, IN_THE_PLANE]
-        return interpolate_located(result.mesh, tensors, located)
+        return interpolate_located(result.mesh, schema.pick_in_the_plane(result.point_data[name]), located)
 
     displacement = result.at(points)
     along = np.full(len(points), np.nan)
@@ -129,10 +122,11 @@ def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure
         distance = np.linspace(0.0, probe.length, len(points))
         # The stretch of a fibre from Green and Lagrange's strain, exactly.
         along = _stretch_fibre(interpolate_strain(schema.NODAL_GREEN_LAGRANGE), probe.direction)
-    notes = [_describe_gaps(result, points, located.cells, displacement), _describe_doubts(result, located.cells)]
-    if NODAL[measure] not in result.point_data:
-        notes.append("the result has no strain at nodes: written before schema 1.6")
-    return Reading(probe, points, distance, displacement, interpolate_strain(NODAL[measure]), along, _join(notes))
+    at_nodes = schema.NODAL_STRAINS[measure]
+    lacks_strain = at_nodes not in result.point_data
+    note = _describe_places(result, located.cells, displacement,
+                            "the result has no strain at nodes: written before schema 1.6" if lacks_strain else "")
+    return Reading(probe, points, distance, displacement, interpolate_strain(at_nodes), along, note)
 
 
 def _stretch_fibre(green_lagrange: Array, direction: Array) -> Array:
@@ -153,8 +147,7 @@ def _read_extensometer(result: Result, probe: Extensometer) -> Reading:
     growth = float(moved @ (2.0 * rest + moved))
     length = float(np.linalg.norm(rest + moved))
     along = growth / (length + probe.length) / probe.length
-    cells = locate(result.mesh, ends).cells
-    note = _join([_describe_gaps(result, ends, cells, u), _describe_doubts(result, cells)])
+    note = _describe_places(result, locate(result.mesh, ends).cells, u)
     nothing = np.full((1, 3), np.nan)
     return Reading(probe, ends.mean(axis=0)[None], np.zeros(1), nothing[:, :2], nothing, np.array([along]), note)
 
@@ -163,14 +156,12 @@ def _read_gauge(result: Result, probe: StrainGauge, measure: Measure) -> Reading
     """The plane that fits best, by least squares over the rectangle."""
     points = list_samples(probe)
     u = result.at(points)
-    cells = locate(result.mesh, points).cells
     away = points - np.asarray(probe.centre)
     # The samples lie symmetrically about the centre: the mean and the slopes are found one by one.
     gradient = np.linalg.solve(away.T @ away, away.T @ u).T[None]
     along = _stretch_fibre(compute_green_lagrange(gradient), probe.direction)
     strain = _compute_strain(gradient, measure)
-    note = _join([_describe_gaps(result, points, cells, u), _describe_doubts(result, cells),
-                  _describe_lines(result, probe)])
+    note = _describe_places(result, locate(result.mesh, points).cells, u, _describe_lines(result, probe))
     return Reading(probe, np.array([probe.centre]), np.zeros(1), u.mean(axis=0)[None], strain, along, note)
 
 
@@ -184,25 +175,19 @@ def _compute_strain(gradient: Array, measure: Measure) -> Array:
     return green_lagrange if measure == "green-lagrange" else compute_hencky(green_lagrange)
 
 
-def _describe_gaps(result: Result, points: Array, cells: NDArray[np.int64], displacement: Array) -> str:
-    """Why displacements are nan at some places; empty where none is."""
+def _describe_places(result: Result, cells: NDArray[np.int64], displacement: Array, more: str = "") -> str:
+    """Why displacements are nan at some places or doubtful, and what else there is to say; empty where nothing is."""
     missing = np.isnan(displacement).any(axis=1)
-    if not missing.any():
-        return ""
-    outside = int((missing & (cells < 0)).sum())
-    unmeasured = int(missing.sum()) - outside
-    reasons = [f"{outside} of {len(points)} places outside the mesh or in a hole"] if outside else []
-    if unmeasured:
-        reasons.append(f"{unmeasured} of {len(points)} places where nothing was measured")
-    return "; ".join(reasons)
-
-
-def _describe_doubts(result: Result, cells: NDArray[np.int64]) -> str:
-    """How many of the places lie in cells whose residual is that of a wrong displacement."""
-    if schema.DOUBTFUL not in result.cell_data:
-        return ""
-    n_doubtful = int(result.cell_data[schema.DOUBTFUL][cells[cells >= 0]].astype(bool).sum())
-    return f"{n_doubtful} of {len(cells)} places in doubtful cells" if n_doubtful else ""
+    outside = missing & (cells < 0)
+    doubtful = result.cell_data.get(schema.DOUBTFUL, np.zeros(result.mesh.n_cells))[cells[cells >= 0]]
+    counts = {
+        "outside the mesh or in a hole": outside.sum(),
+        "where nothing was measured": (missing & ~outside).sum(),
+        # Their residual is that of a wrong displacement.
+        "in doubtful cells": np.count_nonzero(doubtful),
+    }
+    notes = [f"{count} of {len(cells)} places {where}" for where, count in counts.items() if count]
+    return "; ".join([*notes, more] if more else notes)
 
 
 def _describe_lines(result: Result, gauge: StrainGauge) -> str:
@@ -217,7 +202,3 @@ def _describe_lines(result: Result, gauge: StrainGauge) -> str:
             if (np.abs(local) < [0.5 * gauge.length, 0.5 * gauge.across]).all(axis=1).any():
                 return "a discontinuity runs through it: no strain; an extensometer measures across"
     return ""
-
-
-def _join(notes: list[str]) -> str:
-    return "; ".join(note for note in notes if note)

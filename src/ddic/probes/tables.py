@@ -9,6 +9,7 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -83,14 +84,14 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
     list of ProbeRecord
         All probes at the first time, then at the next one.
     """
-    records = [ProbeRecord(find_time(result), result.path.name, measure_probe(result, probe, measure),
+    records = [ProbeRecord(_find_time(result), result.path.name, measure_probe(result, probe, measure),
                            estimate_metrology(result, probe, noise), find_length_unit(result))
                for result in results for probe in probes]
     return sorted(records, key=lambda record: record.time)
 
 
-def find_time(result: Result) -> float:
-    """Find the time of a result's deformed image, as the case gives it; nan where the file says none."""
+def _find_time(result: Result) -> float:
+    """The time of a result's deformed image, as the case gives it; nan where the file says none."""
     return float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
 
 
@@ -110,16 +111,17 @@ def write_probe_table(path: Path | str, records: Sequence[ProbeRecord]) -> None:
         Where the folder cannot be written to.
     """
     unit = records[0].unit if records else LengthUnit()
-    with replaced_on_exit(Path(path)) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow([_name_column(name, kind, unit) for name, kind in COLUMNS])
-        for record in records:
-            table.writerows(_list_rows(record))
-
-
-def _name_column(name: str, kind: str, unit: LengthUnit) -> str:
     units = {"length": unit.name, "area": f"{unit.name}^2", "1": "1"}
-    return f"{name} [{units[kind]}]" if kind else name
+    header = [f"{name} [{units[kind]}]" if kind else name for name, kind in COLUMNS]
+    with replaced_on_exit(Path(path)) as temporary:
+        _write_csv(temporary, header, chain.from_iterable(map(_list_rows, records)))
+
+
+def _write_csv(path: Path, header: Iterable[str], rows: Iterable[Sequence[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(header)
+        table.writerows(rows)
 
 
 def _list_rows(record: ProbeRecord) -> Iterator[list[str]]:
@@ -127,23 +129,16 @@ def _list_rows(record: ProbeRecord) -> Iterator[list[str]]:
     reading, probe, size = record.reading, record.reading.probe, record.unit.size
     is_line = isinstance(probe, LineProbe)
     length = math.nan if isinstance(probe, PointProbe | LineProbe) else size * probe.length
-    about = _list_metrology(record)
+    known = record.metrology
+    about = [size * known.displacement_noise, size * known.displacement_resolution,
+             size**2 * known.displacement_indicator, known.strain_noise, size * known.strain_resolution,
+             size**2 * known.strain_indicator]
+    note = "; ".join(filter(None, (reading.note, known.note)))
     for k, point in enumerate(reading.points):
         numbers = [size * reading.distance[k] if is_line else math.nan, *(size * point), length,
                    *(size * reading.displacement[k]), *reading.strain[k], reading.along[k], *about]
         yield [format_number(record.time), record.result, probe.name, KINDS[type(probe)],
-               *map(format_number, numbers), _join_notes(record)]
-
-
-def _list_metrology(record: ProbeRecord) -> list[float]:
-    known, size = record.metrology, record.unit.size
-    return [size * known.displacement_noise, size * known.displacement_resolution,
-            size**2 * known.displacement_indicator, known.strain_noise, size * known.strain_resolution,
-            size**2 * known.strain_indicator]
-
-
-def _join_notes(record: ProbeRecord) -> str:
-    return "; ".join(note for note in (record.reading.note, record.metrology.note) if note)
+               *map(format_number, numbers), note]
 
 
 def format_number(value: float) -> str:
@@ -155,11 +150,6 @@ def average_along(values: NDArray[np.float64]) -> float:
     """Average over the places of a probe at which there is a value; nan where there is none at all."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else math.nan
-
-
-VECTOR_NAMES = ("x", "y")
-TENSOR_NAMES = {"xx": 0, "yy": 1, "xy": 3}
-"""Columns of a symmetric tensor in the plane, and their places in the file's XX, YY, ZZ, XY, YZ, XZ."""
 
 
 def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
@@ -185,8 +175,9 @@ def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
     nodes, cells = list_field_tables(Path(path))
     mesh = result.mesh
     with replaced_together() as files:
-        _write_table(files.begin(nodes), _list_columns(result, "node", mesh.nodes, result.point_data))
-        _write_table(files.begin(cells), _list_columns(result, "cell", mesh.centroids, result.cell_data))
+        for target, columns in ((nodes, _list_columns(result, "node", mesh.nodes, result.point_data)),
+                                (cells, _list_columns(result, "cell", mesh.centroids, result.cell_data))):
+            _write_csv(files.begin(target), columns, zip(*map(_format_column, columns.values()), strict=True))
     return nodes, cells
 
 
@@ -209,9 +200,9 @@ def _list_columns(result: Result, what: str, places: NDArray[np.float64],
         if values.ndim == 1:
             columns[f"{name} [{unit}]"] = values
         elif values.shape[1] == schema.VECTOR:
-            columns |= {f"{name}_{axis} [{unit}]": values[:, k] for k, axis in enumerate(VECTOR_NAMES)}
+            columns |= {f"{name}_{axis} [{unit}]": values[:, k] for k, axis in enumerate("xy")}
         else:
-            columns |= {f"{name}_{pair} [{unit}]": values[:, k] for pair, k in TENSOR_NAMES.items()}
+            columns |= {f"{name}_{pair} [{unit}]": values[:, k] for pair, k in schema.IN_THE_PLANE.items()}
     return columns
 
 
@@ -222,16 +213,8 @@ def _list_units(result: Result) -> dict[str, str]:
     return {spec.name: spec.unit for spec in specs}
 
 
-def _write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Columns as CSV; nothing where a value is nan."""
-    texts = [_format_column(values) for values in columns.values()]
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(columns)
-        table.writerows(zip(*texts, strict=True))
-
-
 def _format_column(values: NDArray[Any]) -> list[str]:
+    """Numbers as texts; nothing where a value is nan."""
     if np.issubdtype(values.dtype, np.integer):
         return [str(value) for value in values.tolist()]
     return ["" if value != value else f"{value:.{N_DIGITS}g}" for value in values.tolist()]  # noqa: PLR0124  nan alone

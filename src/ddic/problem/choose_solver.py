@@ -12,8 +12,7 @@ from ddic.io.text_files import read_partition
 from ddic.mesh.quality import measure_cell_size
 from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team, require_held
-from ddic.problem.linear_solver import compute_cut_off_wavelength
-from ddic.problem.region_mesh import RegionMesh
+from ddic.problem.region_mesh import RegionMesh, compute_cut_off_wavelength
 from ddic.solvers.petsc import ASSEMBLED, COARSE, is_mumps_missing
 from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.functionals.line_band import weigh_corners
-from ddic.inputs.cameras import MeasuredCells, collect_cells
+from ddic.inputs.cameras import MeasuredCells, collect_measured_cells
 from ddic.inputs.inputs import Inputs
 from ddic.kinematics.enriched import Discontinuities, EnrichedRegion, enrich
 from ddic.kinematics.tip_functions import TipPatch, enrich_at_tips, find_bends_at_tips, find_tips
@@ -96,7 +96,7 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegi
     cut, patch = cut_by_lines(inputs.case, mesh)
     around_tips = () if patch is None else tuple(tip.cells for tip in patch.tips)
     while True:
-        measured = collect_cells(inputs.cameras, cut.mesh, labels[cut.cell_of])
+        measured = collect_measured_cells(inputs.cameras, cut.mesh, labels[cut.cell_of])
         weights = _weigh_corners(cut, measured, inputs.case.correlation.spline_degree)
         sides = CutSides(cut, enrich(cut, weights, discontinuities.openings), weights, around_tips)
         kept = keep_cameras_determined(sides, labels)

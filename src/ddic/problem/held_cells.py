@@ -26,6 +26,7 @@ from ddic.functionals.view import FrameView, View
 from ddic.images.spline import PADDING, SplineImage
 from ddic.images.window import Window
 from ddic.mesh.mesh import pad_cells
+from ddic.parallel.field import ByView
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -168,32 +169,26 @@ class PulledView:
         return replace(residual, moments=moments, cell_sums=GreySums(cell_sums))
 
 
-PulledViews = list[tuple[PulledView | None, ...]]
-"""By owned subdomain and view; None where a view has none."""
-
-
 def pull_view(view: FrameView, q: Array, held: HeldCells, *, follows: bool) -> PulledView | None:
     """Prepare the pull of a view's cells; None where none is held off."""
     if not len(held.cells):
         return None
-    followed = view.view.with_moved_gradient(q) if follows else view.view
+    followed = view.with_moved_gradient(q) if follows else view
     is_held = np.zeros(followed.correlation.mesh.n_cells, dtype=bool)
     is_held[held.cells] = True
     hessians = followed.correlation.confine(is_held).compute_cell_hessians()
-    return PulledView(view.view, held, hessians[held.cells])
+    return PulledView(view, held, hessians[held.cells])
 
 
-def sum_pulls(pulled: PulledViews, q: Sequence[Array]) -> list[Array]:
+def sum_pulls(pulled: ByView[PulledView | None], q: Sequence[Array]) -> list[Array]:
     """Compute what b is given, (n_unknowns,) of each subdomain, grey levels squared per pixel."""
     return [np.sum([np.zeros(len(q_s)), *(view.pull(q_s) for view in of_views if view is not None)], axis=0)
             for of_views, q_s in zip(pulled, q, strict=True)]
 
 
-def keep_other_cells(pulled: PulledViews, residuals: Sequence[tuple[Residual, ...]]) -> list[tuple[Residual, ...]]:
+def keep_other_cells(pulled: ByView[PulledView | None], residuals: ByView[Residual]) -> ByView[Residual]:
     """Keep the residuals of cells that are not pulled."""
-    return [tuple(residual if view is None else view.keep_others(residual)
-                  for view, residual in zip(of_views, of_subdomain, strict=True))
-            for of_views, of_subdomain in zip(pulled, residuals, strict=True)]
+    return pulled.map(lambda view, residual: residual if view is None else view.keep_others(residual), residuals)
 
 
 def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise: float) -> dict[int, Array]:
@@ -203,7 +198,7 @@ def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise
     residual where nothing is foreign, grey levels squared. This gives, by the number of each cell that is found, how
     far its corners (``pad_cells``) are seen from where they are put, (4, 2), pixels: in the mean BESIDE or more.
     """
-    correlation = view.view.correlation
+    correlation = view.correlation
     mesh = correlation.mesh
     corners = dict(zip(cells.tolist(), pad_cells(mesh)[cells], strict=True))
     squares = {cell: _place_square(mesh.nodes[of_cell], correlation.extent) for cell, of_cell in corners.items()}
@@ -211,7 +206,7 @@ def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise
     squares = {cell: square for cell, square in squares.items() if _is_whole(correlation.source.find_usable(square))}
     if not squares:
         return {}
-    moved = mesh.nodes + view.view.kinematics.displacement(q).reshape(mesh.nodes.shape)
+    moved = mesh.nodes + view.kinematics.displacement(q).reshape(mesh.nodes.shape)
     motions = {cell: _fit_motion(mesh.nodes[corners[cell]], moved[corners[cell]]) for cell in squares}
     found = {}
     for cell, square in squares.items():

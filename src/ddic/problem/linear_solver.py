@@ -15,10 +15,11 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly
+from ddic.problem.region_mesh import compute_cut_off_wavelength
 from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import GuardedStep, LinearStep
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
@@ -218,17 +219,6 @@ def _side(subdomain: Subdomain) -> float:
     """Side of a square or cube as large as the subdomain's box, pixels."""
     extent = np.ptp(subdomain.mesh.nodes, axis=0)
     return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
-
-
-def compute_cut_off_wavelength(case: Case) -> float:
-    """Find the wavelength below which mechanics hold the displacement, pixels.
-
-    It is 0 without regularization, infinite where eta is given.
-    """
-    section = case.regularization
-    if section is None:
-        return 0.0
-    return np.inf if section.cut_off_wavelength is None else section.cut_off_wavelength
 
 
 def _describe(subdomain: Subdomain) -> str:

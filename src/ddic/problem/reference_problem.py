@@ -6,28 +6,28 @@ Subdomains without texture join a neighbour: by themselves their operators would
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from ddic.errors import InputError, list_first
 from ddic.functionals.correlation import restrict_to_cells
 from ddic.functionals.texture import Texture, find_blank_subdomains, measure_texture
+from ddic.functionals.view import View
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, UpdatedReference
 from ddic.mesh.topology import find_adjacent_cells
+from ddic.parallel.field import ByView
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.partition.split import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import Hessians, assemble_hessians
 from ddic.problem.choose_solver import choose_solver
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
-from ddic.problem.views import ReferenceViews, read_reference_views
+from ddic.problem.views import Hessians, read_reference_views
 from ddic.solvers.petsc import describe_missing_packages
 
 Array = NDArray[np.float64]
@@ -45,9 +45,11 @@ class ReferenceProblem:
         What it was made from, with a case that says the linear step.
     region : Region
         What is known of the whole mesh.
-    references : list of ReferenceViews
-        Owned subdomains, cameras not yet weighted.
-    hessians : list of list of (n_dofs, n_dofs) csr_matrix
+    subdomains : list of Subdomain
+        Those that this rank owns.
+    views : ByView of View
+        Their pixels, of cameras not yet weighted.
+    hessians : ByView of (n_dofs, n_dofs) csr_matrix
         M of each view, on displacements of nodes in its image.
     n_pixels : int
         Pixels of all views of the whole region that the reference images do not exclude.
@@ -57,15 +59,11 @@ class ReferenceProblem:
 
     inputs: Inputs
     region: Region
-    references: list[ReferenceViews]
-    hessians: list[Hessians]
+    subdomains: list[Subdomain]
+    views: ByView[View]
+    hessians: Hessians
     n_pixels: int
     notes: tuple[str, ...]
-
-    @property
-    def subdomains(self) -> list[Subdomain]:
-        """Owned subdomains."""
-        return [reference.subdomain for reference in self.references]
 
     def convert_to_reference(self, q: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Take unknowns since the first reference image from the one in use; free of communication.
@@ -103,11 +101,11 @@ def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None
         # Without regularization a blank part is singular whatever the partition, and the factorisation says where.
         return problem, found
     with clock.phase(Phase.ASSEMBLE):
-        joining = join_blank_subdomains(team, region_mesh, problem.references, [m[0] for m in problem.hessians],
-                                        case.correlation.spline_degree)
-    if joining is None:
-        return problem, found
-    return _read_and_assemble(team, inputs, region_mesh, joining.parts, clock, (joining.note,)), found
+        joined = join_blank_subdomains(team, region_mesh, problem)
+    if joined is not None:
+        parts, note = joined
+        problem = _read_and_assemble(team, inputs, region_mesh, parts, clock, (note,))
+    return problem, found
 
 
 def _describe_discontinuities(team: Team, region_mesh: RegionMesh | None) -> tuple[str, ...]:
@@ -126,87 +124,65 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
     with clock.phase(Phase.START):
         subdomains, region = scatter_region(team, region_mesh, parts)
     with clock.phase(Phase.READ):
-        references = team.together(lambda: read_reference_views(case, inputs.cameras, subdomains))
-        n_pixels = sum(team.gather_lists([view.n_pixels for r in references for view in r.views]))
+        views = team.together(lambda: read_reference_views(case, inputs.cameras, subdomains))
+        n_pixels = sum(team.gather_lists([view.n_pixels for view in views.flat]))
     with clock.phase(Phase.ASSEMBLE):
-        hessians = assemble_hessians(team, clock.note_each(references))
+        hessians = assemble_hessians(team, clock.note_each(views))
     lines = _describe_discontinuities(team, region_mesh)
     notes = (*inputs.notes, *notes, *lines, *note_crowded_cores(team, case.solver.threads),
              *describe_missing_packages(case.solver.method))
-    return ReferenceProblem(inputs, region, references, hessians, n_pixels, notes)
+    return ReferenceProblem(inputs, region, subdomains, views, hessians, n_pixels, notes)
 
 
-@dataclass(frozen=True)
-class Joining:
-    """A partition in which no subdomain is blank.
-
-    Attributes
-    ----------
-    parts : (n_cells,) array of int64 or None
-        New subdomain of each cell, on rank 0.
-    note : str
-        What the user should know.
-    """
-
-    parts: NDArray[np.int64] | None
-    note: str
+def assemble_hessians(team: Team, views: Iterable[Sequence[View]]) -> Hessians:
+    """Assemble M of all views of owned subdomains, gone through once; an error is raised on all ranks."""
+    return team.together(lambda: ByView([view.assemble_hessian() for view in of_subdomain] for of_subdomain in views))
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """A connected piece of a subdomain; cells: their numbers in the whole mesh."""
-
-    subdomain: int
-    camera: int
-    cells: NDArray[np.int64]
-    texture: Texture
-
-
-def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None, references: Sequence[ReferenceViews],
-                          hessians: Sequence[sparse.csr_matrix], degree: int) -> Joining | None:
+def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
+                          problem: ReferenceProblem) -> tuple[NDArray[np.int64] | None, str] | None:
     """Merge subdomains, or loose pieces of them, without texture with neighbours of the same camera; collective.
 
-    The whole mesh is on rank 0. ``hessians`` are M of each owned subdomain by its own camera, on displacements of nodes
-    in the image; ``degree`` is the spline's. None where no subdomain is blank, and where all are. Raises InputError on
-    all ranks, where fewer subdomains than ranks are left.
+    The whole mesh is on rank 0, and there the new subdomain of each cell, (n_cells,), of which none is blank; beside it
+    what the user should know. None where no subdomain is blank, and where all are. Raises InputError on all ranks,
+    where fewer subdomains than ranks are left.
     """
-    pieces = team.together(lambda: [
-        piece for reference, hessian in zip(references, hessians, strict=True)
-        for piece in _find_pieces(reference, hessian, degree)])
+    pieces = team.together(lambda: list(_find_pieces(problem)))
     # Everybody holds the same list of the same numbers, hence comes to the same decision.
-    owner = np.array(team.gather_lists([piece.subdomain for piece in pieces]))
-    cameras = np.array(team.gather_lists([piece.camera for piece in pieces]))
-    textures = team.gather_lists([piece.texture for piece in pieces])
-    blank = _find_blank(textures, cameras)
+    described = team.gather_lists([(subdomain.index, subdomain.camera, texture) for subdomain, _, texture in pieces])
+    owner, cameras = (np.array([piece[k] for piece in described]) for k in range(2))
+    blank = _find_blank([texture for *_, texture in described], cameras)
     if not blank.any():
         return None
-    cells = team.gather_to([piece.cells for piece in pieces])
+    cells = team.gather_to([cells for _, cells, _ in pieces])
 
     def merge() -> NDArray[np.int64]:
-        by_piece = [c for of_rank in require_held(cells) for c in of_rank]
-        parts = _merge(require_held(region_mesh), by_piece, owner, blank)
+        mesh = require_held(region_mesh).mesh
+        piece_of_cell = np.empty(mesh.n_cells, dtype=np.int64)
+        for number, members in enumerate(c for of_rank in require_held(cells) for c in of_rank):
+            piece_of_cell[members] = number
+        parts = merge_blank(piece_of_cell, owner, _adjacency_within_cameras(require_held(region_mesh)), blank)
         _refuse_too_few(parts, len(np.unique(owner)), team.size)
         return parts
 
     parts = team.build_on_root(merge)
     n_left = team.on_root(lambda: int(require_held(parts).max()) + 1)
-    return Joining(parts, _describe(owner, blank, n_left))
+    return parts, _describe(owner, blank, n_left)
 
 
-def _find_pieces(reference: ReferenceViews, hessian: sparse.csr_matrix, degree: int) -> list[_Piece]:
-    subdomain, correlation = reference.subdomain, reference.own.correlation
-    labels = find_connected_pieces(find_adjacent_cells(subdomain.mesh))
-    n_pieces = int(labels.max()) + 1
-    if n_pieces == 1:
-        whole = measure_texture(correlation, hessian, degree)
-        return [_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids, whole)]
-    pieces = []
-    for k in range(n_pieces):
-        cells = np.flatnonzero(labels == k)
-        alone = restrict_to_cells(correlation, cells)
-        of_piece = measure_texture(alone, alone.assemble_hessian(), degree)
-        pieces.append(_Piece(subdomain.index, subdomain.camera, subdomain.cell_ids[cells], of_piece))
-    return pieces
+def _find_pieces(problem: ReferenceProblem) -> Iterator[tuple[Subdomain, NDArray[np.int64], Texture]]:
+    """Connected pieces of owned subdomains: numbers of their cells in the whole mesh, and the own camera's texture."""
+    degree = problem.inputs.case.correlation.spline_degree
+    for subdomain, (own, *_), (hessian, *_) in zip(problem.subdomains, problem.views, problem.hessians, strict=True):
+        labels = find_connected_pieces(find_adjacent_cells(subdomain.mesh))
+        n_pieces = int(labels.max()) + 1
+        if n_pieces == 1:
+            yield subdomain, subdomain.cell_ids, measure_texture(own.correlation, hessian, degree)
+            continue
+        for k in range(n_pieces):
+            cells = np.flatnonzero(labels == k)
+            alone = restrict_to_cells(own.correlation, cells)
+            yield subdomain, subdomain.cell_ids[cells], measure_texture(alone, alone.assemble_hessian(), degree)
 
 
 def _find_blank(textures: Sequence[Texture], cameras: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -218,16 +194,6 @@ def _find_blank(textures: Sequence[Texture], cameras: NDArray[np.int64]) -> NDAr
         # Where all are blank, there is no neighbour to join: the factorisation says where.
         blank[places] = found & ~found.all()
     return blank
-
-
-def _merge(region_mesh: RegionMesh, cells: Sequence[NDArray[np.int64]], owner: NDArray[np.int64],
-           blank: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """New subdomain of each cell, (n_cells,); cells: of each piece."""
-    mesh = region_mesh.mesh
-    pieces = np.empty(mesh.n_cells, dtype=np.int64)
-    for number, members in enumerate(cells):
-        pieces[members] = number
-    return merge_blank(pieces, owner, _adjacency_within_cameras(region_mesh), blank)
 
 
 def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import RegularizationSection, SolverSection
+from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import InputError
-from ddic.functionals.regularization import Material, measure_gap_energies
-from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_cells
+from ddic.functionals.regularization import PHASES, Material, measure_gap_energies
+from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_measured_cells
 from ddic.inputs.inputs import Inputs
 from ddic.io.text_files import read_partition
 from ddic.kinematics.kinematics import RegionKinematics
@@ -55,6 +55,11 @@ class ProbeWaves:
     wavelength: float
     gap_energies: NDArray[np.float64]
 
+    @property
+    def is_weighable(self) -> bool:
+        """Whether every wave loads an inner node, in one of its phases at least."""
+        return bool(self.gap_energies.reshape(-1, len(PHASES)).any(axis=1).all())
+
 
 @dataclass(frozen=True)
 class Region:
@@ -93,7 +98,7 @@ class RegionMesh:
     measured : list of MeasuredCells
         Cells of each camera.
     controlled : (n_unknowns,) array of bool
-        Whether the equilibrium row of each unknown is controlled: P of Eq. 11 of [BP17].
+        Whether the equilibrium row of each unknown is controlled: P of Eq. 9 of [BP17].
     interior : (n_nodes,) array of bool
         Nodes inside the mesh around which the first camera measures every cell: there texture is weighed against
         mechanics.
@@ -151,41 +156,29 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
     Raises InputError where the mesh, a selection of nodes, or a near field is refused.
     """
     mesh, tying = inputs.build_mesh()
-    labels = assign_cells(inputs.cameras, mesh, tying)
-    region = cut_region(inputs, mesh, labels)
-    if region is not None:
-        return _cut(inputs, region)
-    measured = collect_cells(inputs.cameras, mesh, labels)
-    costs = _costs(inputs.cameras, mesh, measured)
+    cameras, section = inputs.cameras, inputs.case.regularization
+    labels = assign_cells(cameras, mesh, tying)
     boundary = find_boundary_nodes(mesh) if tying is None else tying.boundary
-    kinematics = _choose_kinematics(inputs, mesh, tying)
     # Boxes and sides are meant in the first reference image.
-    first = mesh if inputs.updated is None else replace(mesh, nodes=inputs.updated.nodes)
-    controlled_nodes = _controlled_nodes(inputs.case.regularization, first, boundary)
-    interior = np.ones(mesh.n_nodes, dtype=bool)
-    interior[boundary] = False
-    if len(inputs.cameras) > 1:
-        interior &= _only_first_camera(mesh, labels, len(inputs.cameras), tying)
-    return RegionMesh(inputs, kinematics, tying, labels, costs, measured, kinematics.controlled(controlled_nodes),
-                      interior)
-
-
-def _cut(inputs: Inputs, region: CutRegion) -> RegionMesh:
-    """The whole mesh, cut by discontinuities, with unknowns on both sides of the lines."""
-    refuse_kinematics(inputs)
-    cut, cameras, mesh = region.cut, inputs.cameras, region.kinematics.mesh
-    labels = region.cameras[region.cell_of]
-    # The start looks at the region as a whole.
-    measured = collect_cells(cameras, region.whole, region.cameras)
-    boundary = cut.find_with_phantoms(find_boundary_nodes(region.whole))
-    controlled_nodes = _controlled_nodes(inputs.case.regularization, cut.mesh, boundary)
-    interior = region.find_nodes_away_from_lines()
+    in_first = mesh if inputs.updated is None else replace(mesh, nodes=inputs.updated.nodes)
+    region = cut_region(inputs, mesh, labels)
+    if region is None:
+        kinematics, interior = _choose_kinematics(inputs, mesh, tying), np.ones(mesh.n_nodes, dtype=bool)
+        measured = seen = collect_measured_cells(cameras, mesh, labels)
+    else:
+        refuse_kinematics(inputs)
+        # The start looks at the region as a whole.
+        measured = collect_measured_cells(cameras, mesh, region.cameras)
+        kinematics, labels = region.kinematics, region.cameras[region.cell_of]
+        seen = collect_measured_cells(cameras, kinematics.mesh, labels)
+        boundary, in_first = region.cut.find_with_phantoms(boundary), region.cut.mesh
+        interior = region.find_nodes_away_from_lines()
     interior[boundary] = False
     if len(cameras) > 1:
-        interior &= _only_first_camera(mesh, labels, len(cameras), None)
-    costs = _costs(cameras, mesh, collect_cells(cameras, mesh, labels))
-    return RegionMesh(inputs, region.kinematics, None, labels, costs, measured,
-                      region.kinematics.controlled(controlled_nodes), interior, region)
+        interior &= _only_first_camera(kinematics.mesh, labels, len(cameras), tying)
+    controlled = kinematics.controlled(_controlled_nodes(section, in_first, boundary))
+    return RegionMesh(inputs, kinematics, tying, labels, _costs(cameras, kinematics.mesh, seen), measured, controlled,
+                      interior, region)
 
 
 def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
@@ -245,6 +238,17 @@ def scatter_region(team: Team, region_mesh: RegionMesh | None,
 def build_material(section: RegularizationSection) -> Material:
     """Give the elastic constants of the regularization, with E = 1."""
     return Material(section.poisson_ratio, section.plane)
+
+
+def compute_cut_off_wavelength(case: Case) -> float:
+    """Find the wavelength below which mechanics hold the displacement, pixels.
+
+    It is 0 without regularization, infinite where eta is given.
+    """
+    section = case.regularization
+    if section is None:
+        return 0.0
+    return np.inf if section.cut_off_wavelength is None else section.cut_off_wavelength
 
 
 def _choose_kinematics(inputs: Inputs, mesh: Mesh, tying: Tying | None) -> RegionKinematics:

@@ -12,8 +12,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.plane import build_rotation
 from ddic.mesh.quality import measure_areas
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
@@ -67,9 +69,9 @@ def measure_turn(other: float, one: float) -> float:
     return float((one - other + np.pi) % (2 * np.pi) - np.pi)
 
 
-def fit_rigid_motion(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array]) -> RigidMotion:
+def fit_rigid_motion(q: Field) -> RigidMotion:
     """Fit a rigid motion to the displacement of all nodes, each weighted by the area about it; collective."""
-    sums = team.ordered_sum([_sum_moments(subdomain, q_s) for subdomain, q_s in zip(subdomains, q, strict=True)])
+    sums = q.team.ordered_sum(q.map(_sum_moments))
     total, first, moved, products = sums[0], sums[1:3], sums[3:5], sums[5:].reshape(2, 2)
     centre, moved_centre = first / total, moved / total
     # Of sum (x - x_mean) (X - X_mean)^T, the angle that it turns by.
@@ -81,9 +83,7 @@ def fit_rigid_motion(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Ar
 def _sum_moments(subdomain: Subdomain, q: Array) -> Array:
     """Of the nodes: their areas, and the sums of X, of x and of x X^T, (9,)."""
     mesh, nodes = subdomain.mesh, subdomain.mesh.nodes
-    n_corners = np.diff(mesh.offsets)
-    of_corners = np.repeat(measure_areas(mesh) / n_corners, n_corners)
-    weights = np.bincount(mesh.connectivity, weights=of_corners, minlength=mesh.n_nodes)
+    weights = sum_about_nodes(mesh, measure_areas(mesh) / np.diff(mesh.offsets))
     moved = nodes + subdomain.kinematics.displacement(q[:subdomain.n_field]).reshape(nodes.shape)
     return np.concatenate([[weights.sum()], weights @ nodes, weights @ moved,
                            ((moved * weights[:, None]).T @ nodes).ravel()])
@@ -95,38 +95,33 @@ class HeldRotation:
 
     Attributes
     ----------
-    team, systems : Team, tuple of LocalSystem
+    team, systems : Team, sequence of LocalSystem
         All ranks, and the systems of owned subdomains.
     """
 
     team: Team
-    systems: tuple[LocalSystem, ...]
+    systems: Sequence[LocalSystem]
 
-    def compute_forces(self, q: Sequence[Array]) -> list[Array]:
+    def compute_forces(self, q: Field) -> Field:
         """Compute eta Kbar^T Kbar q_R, which b has to be given for the gap to be that of q - q_R; collective.
 
-        q_R is the rigid motion of ``q``. The forces of owned subdomains, (n_unknowns,), add up over subdomains.
+        q_R is the rigid motion of ``q``. The forces add up over subdomains.
         """
-        motion = fit_rigid_motion(self.team, [system.subdomain for system in self.systems], q)
+        motion = fit_rigid_motion(q)
         shares = np.array([*motion.translation, np.cos(motion.angle) - 1.0, np.sin(motion.angle)])
-        return [np.asarray(forces @ shares) for forces in self._forces_of_fields]
+        return q.with_parts(np.asarray(forces @ shares) for forces in self._forces_of_fields)
 
     @cached_property
     def _forces_of_fields(self) -> list[Array]:
-        """Forces of the fields that rigid motions are sums of, (n_unknowns, 4); found once, collectively."""
+        """Forces of both translations, a dilation and a turn, (n_unknowns, 4); found once, collectively."""
         subdomains = [system.subdomain for system in self.systems]
         # Whatever the motion, its centre is the region's.
-        at_rest = [np.zeros(subdomain.n_unknowns) for subdomain in subdomains]
-        return _compute_forces(self.team, self.systems, fit_rigid_motion(self.team, subdomains, at_rest).centre)
-
-
-def _compute_forces(team: Team, systems: Sequence[LocalSystem], centre: Array) -> list[Array]:
-    """Compute eta Kbar^T Kbar of both translations, a dilation and a turn, (n_unknowns, 4) of each subdomain."""
-    kbars = [EquilibriumRows.of(system).assemble() for system in systems]
-    gaps = [kbar @ _fit_fields(system.subdomain, centre) for system, kbar in zip(systems, kbars, strict=True)]
-    complete = _add_up(team, [system.subdomain for system in systems], gaps)
-    return [np.asarray(system.eta * (kbar.T @ gap))
-            for system, kbar, gap in zip(systems, kbars, complete, strict=True)]
+        centre = fit_rigid_motion(Field.zero(self.team, subdomains)).centre
+        kbars = [EquilibriumRows.of(system).assemble() for system in self.systems]
+        gaps = [kbar @ _fit_fields(s, centre) for s, kbar in zip(subdomains, kbars, strict=True)]
+        complete = _add_up(self.team, subdomains, gaps)
+        return [np.asarray(system.eta * (kbar.T @ gap))
+                for system, kbar, gap in zip(self.systems, kbars, complete, strict=True)]
 
 
 def _fit_fields(subdomain: Subdomain, centre: Array) -> Array:

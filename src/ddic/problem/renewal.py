@@ -16,16 +16,20 @@ from scipy import sparse
 
 from ddic.errors import list_first
 from ddic.functionals.correlation import LARGE, measure_deformation
-from ddic.functionals.view import View
+from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur
+from ddic.mesh.mesh import sum_about_nodes
+from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import Assembly, Hessians
+from ddic.problem.assembly import Assembly, weigh_rows
 from ddic.problem.region_rotation import STEP_ANGLE, fit_rigid_motion, measure_turn
-from ddic.problem.residual_model import ByView, FilledCells, fill_cells, find_inverse_deformations
-from ddic.problem.views import FrameViews, ReferenceViews
+from ddic.problem.residual_model import FilledCells, ResidualModel, fill_cells
+from ddic.problem.views import Hessians, add_matrices, project_hessians
 from ddic.solvers.local_system import LocalSystem
 
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 T = TypeVar("T")
 
 CHANGED_SHARE = 0.02
@@ -52,42 +56,6 @@ keeps the operator of a subdomain regular that is hidden altogether, and slows d
 those longer than 30 cut-off wavelengths. A larger share slows shorter ones. Without mechanics the same
 share of the diagonal stays at interfaces, whose nodes a neighbour's pixels may hold alone."""
 
-CellCounts = tuple[NDArray[np.int64], ...]
-"""Pixels of each cell, (n_cells,), by view of a subdomain."""
-
-
-@dataclass(frozen=True)
-class RenewalRule:
-    """When M is renewed.
-
-    Attributes
-    ----------
-    wavelength : float
-        Cut-off wavelength, pixels; infinite where eta is given, 0 without regularization.
-    follows : bool
-        Whether the frame turns or stretches the specimen so much that M takes the gradient of its image.
-    blurs : tuple of (int, Blur)
-        Of the reference images of cameras whose frame is less sharp.
-    """
-
-    wavelength: float
-    follows: bool = False
-    blurs: tuple[tuple[int, Blur], ...] = ()
-
-    @property
-    def is_regularized(self) -> bool:
-        """Whether mechanics find the displacement of hidden cells."""
-        return self.wavelength > 0
-
-    def bound_changes(self, n_pixels: int) -> float:
-        """Give the largest number of pixels that may come or go without a renewal.
-
-        ``n_pixels`` are those of the subdomain in the reference images.
-        """
-        share = CHANGED_SHARE * n_pixels
-        return min(share, (CHANGED_SIDE * self.wavelength) ** 2) if self.is_regularized else share
-
-
 @dataclass(frozen=True)
 class AssembledFrom:
     """What M of owned subdomains was assembled from.
@@ -96,10 +64,10 @@ class AssembledFrom:
 
     Attributes
     ----------
-    by_view : list of tuple of (n_cells,) array
-        Pixels that it counts, of each subdomain and view.
-    inverse_deformations : list of tuple of (n_cells, 2, 2) array or None
-        F^-1 with which their gradients were turned, of each subdomain and view; None where they were not.
+    n_pixels : ByView of (n_cells,) array
+        Pixels that it counts.
+    inverse_deformations : ByView of (n_cells, 2, 2) array or None
+        F^-1 with which their gradients were turned; None where they were not.
     filled : list of (n_cells,) bool array
         Cells that were given an elastic energy, of each subdomain.
     free : list of (n_field,) bool array
@@ -110,20 +78,19 @@ class AssembledFrom:
         Of the reference images of cameras.
     """
 
-    by_view: list[CellCounts]
-    inverse_deformations: list[ByView]
-    filled: list[NDArray[np.bool_]]
-    free: list[NDArray[np.bool_]]
+    n_pixels: ByView[NDArray[np.int64]]
+    inverse_deformations: ByView[Array | None]
+    filled: list[Flags]
+    free: list[Flags]
     angle: float = 0.0
     blurs: tuple[tuple[int, Blur], ...] = ()
 
     @classmethod
-    def all_of(cls, references: Sequence[ReferenceViews]) -> AssembledFrom:
+    def all_of(cls, subdomains: Sequence[Subdomain], views: ByView[View]) -> AssembledFrom:
         """Count all pixels of the reference images, with their own gradients."""
-        return cls([tuple(view.count_pixels() for view in reference.views) for reference in references],
-                   [(None,) * len(reference.views) for reference in references],
-                   [np.zeros(reference.subdomain.mesh.n_cells, dtype=bool) for reference in references],
-                   [np.zeros(reference.subdomain.n_field, dtype=bool) for reference in references])
+        return cls(views.map(View.count_pixels), views.map(lambda _: None),
+                   [np.zeros(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains],
+                   [np.zeros(subdomain.n_field, dtype=bool) for subdomain in subdomains])
 
 
 @dataclass(frozen=True)
@@ -148,127 +115,130 @@ class Renewal:
     filled: FilledCells | None = None
 
 
-def find_renewal(team: Team, views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]],
-                 assembled: tuple[AssembledFrom, Sequence[Hessians]], rule: RenewalRule,
+def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom, Hessians], wavelength: float,
                  assembly: Assembly) -> Renewal:
     """Compare what M was assembled from with what a frame shows; collective.
 
-    The frame is thought to show owned subdomains at ``q``. ``assembled`` is what M was made of, and M of each view with
-    all pixels of the reference, on displacements of nodes in its image; ``assembly`` has the systems of the same
-    subdomains.
+    The frame is thought to show the specimen at ``q``. ``assembled`` is what M was made of, and M of each view with all
+    pixels of the reference, on displacements of nodes in its image; ``wavelength`` is the cut-off wavelength, pixels,
+    infinite where eta is given, 0 without regularization; ``assembly`` has the systems of the same subdomains.
 
-    M is new where more than ``rule.bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained more
-    than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``; or where
-    a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where other unknowns
-    have no pixels: they are in equilibrium, or, without regularization, their cells are elastic.
+    M is new where more than ``bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained more than
+    ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``; or where a
+    cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where other unknowns have
+    no pixels: they are in equilibrium, or, without regularization, their cells are elastic.
     """
-    counted, whole = assembled
-    shown = team.together(lambda: [tuple(view.without_hidden(q_s) for view in of_subdomain.views)
-                                   for of_subdomain, q_s in zip(views, q, strict=True)])
-    counts = [tuple(view.count_pixels() for view in of_shown) for of_shown in shown]
-    unseen = [_find_unseen(of_subdomain, now, rule) for of_subdomain, now in zip(views, counts, strict=True)]
-    subdomains = [of_subdomain.subdomain for of_subdomain in views]
-    filled, angle = None, 0.0
-    cells = [np.zeros(len(now[0]), dtype=bool) for now in counts]
+    before, of_all_pixels = assembled
+    team, subdomains, views, is_regularized = model.team, model.subdomains, model.views, wavelength > 0
+
+    def show(view: FrameView, q_s: Array) -> FrameView:
+        shown = view.without_hidden(q_s)
+        return shown.with_moved_gradient(q_s) if model.follows else shown
+
+    shown = team.together(lambda: views.map(show, views.fill(q)))
+    n_pixels = shown.map(View.count_pixels)
+    in_reference = views.map(lambda view: view.prepared.count_pixels())
+    unseen = [_find_unseen(*of_subdomain, is_regularized=is_regularized)
+              for of_subdomain in zip(subdomains, in_reference, n_pixels, strict=True)]
     free = find_free_unknowns(team, subdomains, unseen)
-    if free and not rule.is_regularized:
-        cells = [np.sum(now, axis=0) == 0 for now in counts]
-        angle = fit_rigid_motion(team, subdomains, q).angle
-        filled = fill_cells(team, subdomains, cells, assembly.mean_diagonal, angle)
-    in_equilibrium = sorted(free) if rule.is_regularized else []
+    filled, angle = None, 0.0
+    cells = [np.zeros(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains]
+    if len(free) and not is_regularized:
+        cells = [np.sum(of_views, axis=0) == 0 for of_views in n_pixels]
+        angle = fit_rigid_motion(q).angle
+        filled = fill_cells(subdomains, cells, assembly.mean_diagonal, angle)
+    in_equilibrium = free if is_regularized else free[:0]
     is_free = [np.isin(subdomain.kinematics.numbers, in_equilibrium) for subdomain in subdomains]
-    now = AssembledFrom(counts, [_find_gradients(of_subdomain, q_s, rule)
-                                 for of_subdomain, q_s in zip(views, q, strict=True)],
-                        cells, is_free, angle, rule.blurs)
-    lost = [not _are_pixels_kept(of_subdomain, a, b, rule)
-            for of_subdomain, a, b in zip(views, counted.by_view, now.by_view, strict=True)]
-    turned = [not _are_gradients_kept(a, b)
-              for a, b in zip(counted.inverse_deformations, now.inverse_deformations, strict=True)]
-    is_turned = abs(measure_turn(counted.angle, angle)) > STEP_ANGLE
-    refilled = [bool((a != b).any() or (b.any() and is_turned)) for a, b in zip(counted.filled, cells, strict=True)]
+    is_turned = abs(measure_turn(before.angle, angle)) > STEP_ANGLE
+    now = AssembledFrom(n_pixels, shown.map(lambda view: view.correlation.inverse_deformations), cells, is_free,
+                        angle if is_turned else before.angle, model.blurs)
+
+    lost = [not _are_pixels_kept(subdomain, then, of_views, bound_changes(int(np.sum(of_all)), wavelength))
+            for subdomain, then, of_views, of_all
+            in zip(subdomains, before.n_pixels, n_pixels, in_reference, strict=True)]
+    turned = [not _are_gradients_kept(*of_subdomain)
+              for of_subdomain in zip(before.inverse_deformations, now.inverse_deformations, strict=True)]
+    refilled = [bool((a != b).any() or (b.any() and is_turned)) for a, b in zip(before.filled, cells, strict=True)]
     freed = [bool(((a != b) & ~subdomain.controlled).any())
-             for a, b, subdomain in zip(counted.free, is_free, subdomains, strict=True)]
+             for a, b, subdomain in zip(before.free, is_free, subdomains, strict=True)]
     left = [any(reasons) for reasons in zip(refilled, freed, strict=True)]
-    is_other_image = rule.blurs != counted.blurs
+    is_other_image = model.blurs != before.blurs
     renewed = [is_other_image or any(reasons) for reasons in zip(lost, turned, left, strict=True)]
 
-    def assemble(number: int) -> sparse.csr_matrix:
-        followed = _follow(shown[number], now.inverse_deformations[number])
-        hessian = _assemble_shown(views[number], followed, whole[number], rule)
+    def assemble(view: FrameView, of_shown: FrameView, of_all: sparse.csr_matrix) -> sparse.csr_matrix:
+        if not is_regularized:
+            return view.project(of_shown.assemble_hessian())
+        return view.project(_assemble_with_rest(of_shown, of_all, is_blurred=bool(model.blurs)))
+
+    def set_up(place: int) -> LocalSystem:
+        subdomain, old = subdomains[place], assembly.systems[place]
+        own = ByView([views[place]])
+        (hessian,) = add_matrices(own.map(assemble, [shown[place]], [of_all_pixels[place]]))
+        is_filled = np.zeros(subdomain.n_unknowns, dtype=bool)
         if filled is not None:
-            hessian = sparse.csr_matrix(hessian + filled.assemble_operator(number))
-        if rule.is_regularized:
-            return hessian
-        is_filled = None if filled is None else filled.stiffness[number].diagonal() > 0
-        return _hold_shared(views[number], hessian, whole[number], is_filled)
+            hessian = hessian + filled.assemble_operator(place)
+            is_filled = filled.stiffness[place].diagonal() > 0
+        if not is_regularized:
+            (of_reference,) = project_hessians(own, ByView([of_all_pixels[place]]))
+            hessian = hessian + _hold_shared(subdomain, of_reference.diagonal() * ~is_filled)
+        projection = weigh_rows(subdomain.controlled | is_free[place], assembly.edge_weight)
+        return replace(old, hessian=sparse.csr_matrix(hessian), projection=projection)
 
-    def set_up(number: int) -> LocalSystem | None:
-        if not renewed[number]:
-            return None
-        system = replace(assembly.systems[number], hessian=assemble(number))
-        return replace(system, projection=_control(assembly, subdomains[number], is_free[number]))
-
-    systems = team.together(lambda: [set_up(number) for number in range(len(views))])
-    assembled_from = AssembledFrom(_choose(renewed, now.by_view, counted.by_view),
-                                   _choose(renewed, now.inverse_deformations, counted.inverse_deformations),
-                                   cells, _choose(renewed, is_free, counted.free),
-                                   counted.angle if not is_turned else angle, rule.blurs)
-    notes = (*_describe(team, views, lost, "lost or gained more pixels than their operators bear: these are renewed"),
-             *_describe(team, views, turned, "turned or stretched by more than 10 %: their operators take the gradient "
-                                             "of the deformed image"),
-             *_describe(team, views, left, "hold cells that the frame does not show, or shows again, and nothing "
-                                               "else holds: these follow their neighbours"))
+    systems = team.together(lambda: [set_up(place) if is_new else None for place, is_new in enumerate(renewed)])
+    notes = (*_describe(team, subdomains, lost, "lost or gained more pixels than their operators bear: these are "
+                                                "renewed"),
+             *_describe(team, subdomains, turned, "turned or stretched by more than 10 %: their operators take the "
+                                                  "gradient of the deformed image"),
+             *_describe(team, subdomains, left, "hold cells that the frame does not show, or shows again, and nothing "
+                                                "else holds: these follow their neighbours"))
     if is_other_image:
         notes = (*notes, "all operators take the reference image as sharp as the frame")
+    assembled_from = replace(now, n_pixels=ByView(_choose(renewed, now.n_pixels, before.n_pixels)),
+                             inverse_deformations=ByView(_choose(renewed, now.inverse_deformations,
+                                                                 before.inverse_deformations)),
+                             free=_choose(renewed, is_free, before.free))
     return Renewal(systems, assembled_from, notes, filled)
 
 
-def _control(assembly: Assembly, subdomain: Subdomain, is_free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Diagonal of P: what no pixel holds is in equilibrium, as if nothing loaded it."""
-    return np.where(subdomain.controlled | is_free, 1.0, assembly.edge_weight)
+def bound_changes(n_pixels: int, wavelength: float) -> float:
+    """Give the largest number of pixels that may come or go without a renewal.
+
+    ``n_pixels`` are those of the subdomain in the reference images, ``wavelength`` is as ``find_renewal`` takes it.
+    """
+    share = CHANGED_SHARE * n_pixels
+    return min(share, (CHANGED_SIDE * wavelength) ** 2) if wavelength > 0 else share
 
 
 def _choose(is_new: Sequence[bool], new: Sequence[T], old: Sequence[T]) -> list[T]:
     return [b if changed else a for changed, a, b in zip(is_new, old, new, strict=True)]
 
 
-def _describe(team: Team, views: Sequence[FrameViews], concerned: Sequence[bool], what: str) -> tuple[str, ...]:
+def _describe(team: Team, subdomains: Sequence[Subdomain], concerned: Sequence[bool], what: str) -> tuple[str, ...]:
     """Say which subdomains of all ranks are concerned; collective."""
-    numbers = team.gather_lists([of_subdomain.subdomain.index for of_subdomain, is_concerned
-                                 in zip(views, concerned, strict=True) if is_concerned])
+    numbers = team.gather_lists([subdomain.index for subdomain, is_concerned
+                                 in zip(subdomains, concerned, strict=True) if is_concerned])
     return (f"{len(numbers)} subdomains ({list_first(numbers)}) {what}",) if numbers else ()
 
 
-def _find_gradients(of_subdomain: FrameViews, q: NDArray[np.float64], rule: RenewalRule) -> ByView:
-    """F^-1 of a subdomain's cells; none where little turns or stretches anywhere."""
-    return find_inverse_deformations(of_subdomain, q) if rule.follows else (None,) * len(of_subdomain.views)
-
-
-def _are_gradients_kept(before: ByView, now: ByView) -> bool:
+def _are_gradients_kept(before: Sequence[Array | None], now: Sequence[Array | None]) -> bool:
     """Whether no cell of a subdomain has turned or stretched by much since its M was assembled."""
     changes = [measure_deformation(then, inverse) for then, inverse in zip(before, now, strict=True)]
     return max(changes, default=0.0) <= LARGE
 
 
-def _follow(shown: Sequence[View], inverse: ByView) -> list[View]:
-    """Views whose M takes the gradient of the deformed image."""
-    return [replace(view, correlation=replace(view.correlation, inverse_deformations=of_view))
-            for view, of_view in zip(shown, inverse, strict=True)]
-
-
-def _find_unseen(of_subdomain: FrameViews, counts: CellCounts, rule: RenewalRule) -> NDArray[np.bool_]:
+def _find_unseen(subdomain: Subdomain, in_reference: Sequence[NDArray[np.int64]], now: Sequence[NDArray[np.int64]], *,
+                 is_regularized: bool) -> Flags:
     """Which unknowns have pixels in the reference images and none in the frame, (n_field,); without mechanics, none."""
-    subdomain = of_subdomain.subdomain
-    if not rule.is_regularized:
-        return ~find_held(subdomain, counts)
-    in_reference = tuple(view.count_pixels() for view in of_subdomain.reference.views)
-    if all(np.array_equal(a, b) for a, b in zip(in_reference, counts, strict=True)):
+    if not is_regularized:
+        return ~find_held(subdomain, now)
+    if all(np.array_equal(a, b) for a, b in zip(in_reference, now, strict=True)):
         return np.zeros(subdomain.n_field, dtype=bool)
     # What the reference images do not show either is held as the factor of the reference found.
-    return find_held(subdomain, in_reference) & ~find_held(subdomain, counts)
+    return find_held(subdomain, in_reference) & ~find_held(subdomain, now)
 
 
-def _are_pixels_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCounts, rule: RenewalRule) -> bool:
+def _are_pixels_kept(subdomain: Subdomain, before: Sequence[NDArray[np.int64]], now: Sequence[NDArray[np.int64]],
+                     most: float) -> bool:
     """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
     counted, shown = np.sum(before, axis=0), np.sum(now, axis=0)
     if (shown > (1.0 + GAINED_SHARE) * counted).any():
@@ -276,34 +246,22 @@ def _are_pixels_kept(of_subdomain: FrameViews, before: CellCounts, now: CellCoun
     n_changed = sum(int(np.abs(a - b).sum()) for a, b in zip(before, now, strict=True))
     if n_changed == 0:
         return True
-    subdomain = of_subdomain.subdomain
     lost = sum_pixels(subdomain, now) < (1.0 - LOST_SHARE) * sum_pixels(subdomain, before)
     if (lost & ~subdomain.controlled).any():
         # Without a row of its own it would follow what is left of its pixels as slowly as M counts the others.
         return False
-    n_reference = sum(view.n_pixels for view in of_subdomain.reference.views)
-    return n_changed <= rule.bound_changes(n_reference)
+    return n_changed <= most
 
 
-def _assemble_shown(of_subdomain: FrameViews, shown: Sequence[View], whole: Sequence[sparse.csr_matrix],
-                    rule: RenewalRule) -> sparse.csr_matrix:
-    """M_s of the pixels shown, with a share of the others' where mechanics fill what these leave."""
-    total = None
-    for view, reference, of_shown, of_whole in zip(of_subdomain.views, of_subdomain.reference.views, shown, whole,
-                                                   strict=True):
-        projected = view.view.project(_assemble_view(of_shown, reference, of_whole, rule))
-        total = projected if total is None else total + projected
-    return sparse.csr_matrix(total)
+def _assemble_with_rest(shown: FrameView, of_all: sparse.csr_matrix, *, is_blurred: bool) -> sparse.csr_matrix:
+    """M of the pixels of a view that are shown, with a share of the others', which mechanics fill.
 
-
-def _assemble_view(shown: View, reference: View, whole: sparse.csr_matrix, rule: RenewalRule) -> sparse.csr_matrix:
-    """M of one view; whole: that of all pixels of the reference."""
-    if not rule.is_regularized:
-        return shown.assemble_hessian()
-    if rule.blurs or shown.correlation.inverse_deformations is not None:
-        return (1.0 - HELD_SHARE) * shown.assemble_hessian() + HELD_SHARE * whole
+    ``of_all`` is M of all pixels of the reference image.
+    """
+    if is_blurred or shown.correlation.inverse_deformations is not None:
+        return (1.0 - HELD_SHARE) * shown.assemble_hessian() + HELD_SHARE * of_all
     # As many pixels of a cell are the same ones with the same gradients: most often a few cells of many have others.
-    changed = np.flatnonzero(shown.count_pixels() != reference.count_pixels())
+    changed = np.flatnonzero(shown.count_pixels() != shown.prepared.count_pixels())
     interpolation = shown.correlation.interpolation
     n_cell_dofs = interpolation.cell_dofs.shape[1]
     entries = interpolation.assemble_matrix(np.ones((len(changed), n_cell_dofs, n_cell_dofs)), changed)
@@ -312,46 +270,39 @@ def _assemble_view(shown: View, reference: View, whole: sparse.csr_matrix, rule:
     is_near = np.zeros(interpolation.n_dofs, dtype=bool)
     is_near[interpolation.cell_dofs[changed]] = True
     around = np.flatnonzero(is_near[interpolation.cell_dofs].any(axis=1))
-    here = (1.0 - HELD_SHARE) * shown.assemble_hessian(around) + HELD_SHARE * reference.assemble_hessian(around)
+    here = (1.0 - HELD_SHARE) * shown.assemble_hessian(around) + HELD_SHARE * shown.prepared.assemble_hessian(around)
     # In place of the old entries: a change added to these would leave their rounding in what is a millionth of them.
-    return whole - whole.multiply(entries) + here.multiply(entries)
+    return of_all - of_all.multiply(entries) + here.multiply(entries)
 
 
-def _hold_shared(of_subdomain: FrameViews, hessian: sparse.csr_matrix, whole: Sequence[sparse.csr_matrix],
-                 is_filled: NDArray[np.bool_] | None) -> sparse.csr_matrix:
-    """M_s that is regular where the pixels of neighbours alone hold unknowns, (n_unknowns, n_unknowns).
+def _hold_shared(subdomain: Subdomain, diagonal: Array) -> sparse.dia_matrix:
+    """A share of a diagonal, (n_unknowns,), that makes M_s regular where a neighbour's pixels alone hold unknowns.
 
     b has nothing of it: the fixed point is the same.
     """
-    subdomain = of_subdomain.subdomain
-    diagonal = np.zeros(subdomain.n_unknowns)
-    for view, of_whole in zip(of_subdomain.views, whole, strict=True):
-        diagonal += view.view.project(of_whole).diagonal()
     is_shared = np.zeros(subdomain.n_unknowns, dtype=bool)
     is_shared[:subdomain.n_field] = subdomain.multiplicity > 1
-    if is_filled is not None:
-        is_shared &= ~is_filled
-    return sparse.csr_matrix(hessian + sparse.diags(HELD_SHARE * diagonal * is_shared))
+    return sparse.diags(HELD_SHARE * diagonal * is_shared)
 
 
-def describe_lost_pixels(team: Team, views: Sequence[FrameViews], counts: Sequence[CellCounts]) -> str:
+def describe_lost_pixels(model: ResidualModel, n_pixels: ByView[NDArray[np.int64]]) -> str:
     """Say how many nodes a frame has taken most pixels from, where operators are singular; collective.
 
-    ``counts`` are the pixels of cells that count in the frame. The reason, with remedies, is given on all ranks; it is
+    ``n_pixels`` are those of cells that count in the frame. The reason, with remedies, is given on all ranks; it is
     empty where no node has lost LOST_SHARE of its pixels.
     """
     n_lost = np.zeros(2)
-    for of_subdomain, now in zip(views, counts, strict=True):
-        subdomain = of_subdomain.subdomain
-        before = sum_pixels(subdomain, tuple(view.count_pixels() for view in of_subdomain.reference.views))
-        lost = find_displaced_nodes(subdomain, sum_pixels(subdomain, now) < (1.0 - LOST_SHARE) * before)
+    in_reference = model.views.map(lambda view: view.prepared.count_pixels())
+    for subdomain, then, now in zip(model.subdomains, in_reference, n_pixels, strict=True):
+        is_lost = sum_pixels(subdomain, now) < (1.0 - LOST_SHARE) * sum_pixels(subdomain, then)
+        lost = find_displaced_nodes(subdomain, is_lost)
         parts = subdomain.mesh.parts
         of_line = np.zeros(len(lost), dtype=bool)
         if parts is not None:
             nodes = subdomain.mesh.cells[parts.cells]
             of_line[nodes[nodes >= 0]] = True
         n_lost += np.sum([lost / subdomain.node_multiplicity, lost * of_line / subdomain.node_multiplicity], axis=1)
-    n_nodes, n_beside = np.rint(team.sum(n_lost)).astype(int).tolist()
+    n_nodes, n_beside = np.rint(model.team.sum(n_lost)).astype(int).tolist()
     if not n_nodes:
         return ""
     told = (f"{n_nodes} nodes have lost more than {LOST_SHARE:.0%} of the pixels that hold them, which this frame "
@@ -362,21 +313,18 @@ def describe_lost_pixels(team: Team, views: Sequence[FrameViews], counts: Sequen
     return f"{told}; mask what is not the specimen, or give regularization.cut_off_wavelength"
 
 
-def find_held(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.bool_]:
+def find_held(subdomain: Subdomain, counts: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
     """Find the unknowns that pixels hold, (n_field,): those that displace a node of a cell with pixels."""
     return sum_pixels(subdomain, counts) > 0
 
 
-def sum_pixels(subdomain: Subdomain, counts: CellCounts) -> NDArray[np.float64]:
+def sum_pixels(subdomain: Subdomain, counts: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
     """Sum the pixels that see each unknown, (n_field,): those of the cells about the nodes that it displaces.
 
     They are weighted by how far the unknown displaces each node.
     """
-    mesh = subdomain.mesh
-    n_pixels = np.sum(counts, axis=0)
-    of_corners = np.repeat(n_pixels, np.diff(mesh.offsets))
-    of_nodes = np.bincount(mesh.connectivity, weights=of_corners, minlength=mesh.n_nodes)
-    return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, mesh.dim))
+    of_nodes = sum_about_nodes(subdomain.mesh, np.sum(counts, axis=0))
+    return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, subdomain.mesh.dim))
 
 
 def find_displaced_nodes(subdomain: Subdomain, unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -385,11 +333,10 @@ def find_displaced_nodes(subdomain: Subdomain, unknowns: NDArray[np.bool_]) -> N
     return np.asarray(is_displaced.reshape(subdomain.mesh.nodes.shape).any(axis=1))
 
 
-def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[NDArray[np.bool_]]) -> set[int]:
-    """Find the unknowns that no pixel holds in any subdomain; collective.
+def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[Flags]) -> NDArray[np.int64]:
+    """Find the unknowns that no pixel holds in any subdomain: their sorted numbers in the whole problem; collective.
 
-    ``unseen``, (n_field,), are those without pixels in each owned subdomain. They are found on all ranks, by their
-    numbers in the whole problem.
+    ``unseen``, (n_field,), are those without pixels in each owned subdomain.
     """
     copies = [copy for s, is_unseen in zip(subdomains, unseen, strict=True)
               for copy in zip(s.kinematics.numbers[is_unseen].tolist(), s.multiplicity[is_unseen].tolist(),
@@ -397,4 +344,5 @@ def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequ
     gathered = team.gather_lists(copies)
     n_copies = Counter(number for number, _ in gathered)
     # Held in none of the subdomains that share it.
-    return {number for number, multiplicity in gathered if n_copies[number] == multiplicity}
+    free = {number for number, multiplicity in gathered if n_copies[number] == multiplicity}
+    return np.array(sorted(free), dtype=np.int64)

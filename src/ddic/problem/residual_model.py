@@ -14,23 +14,22 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.correlation import LARGE_SHARE, Residual, compute_inverse_deformations, find_large_gradients
-from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
+from ddic.functionals.correlation import LARGE_SHARE, Residual, find_large_gradients
+from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums, measure_deviation
 from ddic.functionals.regularization import Material, integrate_cell_stiffness
+from ddic.functionals.view import FrameView
 from ddic.images.binned import Blur
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.plane import build_rotation
+from ddic.parallel.field import ByView, Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.held_cells import PulledViews, keep_other_cells, sum_pulls
+from ddic.problem.held_cells import PulledView, keep_other_cells, sum_pulls
 from ddic.problem.region_rotation import HeldRotation, fit_rigid_motion
-from ddic.problem.views import FrameViews, read_frame_windows
+from ddic.problem.views import read_frame_windows
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_correction, weigh_nodes
 
 Array = NDArray[np.float64]
-
-ByView = tuple[Array | None, ...]
-"""F^-1 of the cells of a subdomain, as each of its cameras sees them; None for the identity."""
 
 STIFFNESS = 1e-4
 """Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
@@ -49,13 +48,13 @@ class Evaluation:
 
     Attributes
     ----------
-    residuals : list of tuple of Residual
-        Of each owned subdomain and view.
+    residuals : ByView of Residual
+        Of owned subdomains.
     grey : tuple of GreyState
         Of each camera, over the whole region.
     """
 
-    residuals: list[tuple[Residual, ...]]
+    residuals: ByView[Residual]
     grey: tuple[GreyState, ...]
 
 
@@ -65,7 +64,7 @@ class ResidualModel:
 
     Attributes
     ----------
-    team, views : Team, list of FrameViews
+    team, subdomains, views : Team, sequence of Subdomain, ByView of FrameView
         All ranks, and owned subdomains with their pixels.
     correction : GreyCorrection
         Of grey levels: "none", "global" or "element".
@@ -77,7 +76,7 @@ class ResidualModel:
         Lets the region's rotation cost nothing; None where it has not turned.
     filled : FilledCells, optional
         Cells that neither pixels nor mechanics hold; None where there are none.
-    pulled : list of tuple of PulledView, optional
+    pulled : ByView of PulledView or None, optional
         Cells that are pulled to where the frame shows them; None where there are none.
     blurs : tuple of (int, Blur)
         Cameras whose reference image was blurred as much as the frame is, and how.
@@ -86,33 +85,34 @@ class ResidualModel:
         followed to the last digit.
     held_grey : tuple of GreyState, optional
         Statistics of the cameras that are not computed anew: this model passes over a few cells only.
-    known : tuple of list of (n_unknowns,) array and Evaluation, optional
+    known : tuple of Field and Evaluation, optional
         Unknowns at which the residual is known already, and the residual.
     keeps_windows : bool
         Whether the frame's windows that are held stay, since others use them as well.
     """
 
     team: Team
-    views: list[FrameViews]
+    subdomains: Sequence[Subdomain]
+    views: ByView[FrameView]
     correction: GreyCorrection
     n_cameras: int = 1
     follows: bool = False
     rotation: HeldRotation | None = None
     filled: FilledCells | None = None
-    pulled: PulledViews | None = None
+    pulled: ByView[PulledView | None] | None = None
     blurs: tuple[tuple[int, Blur], ...] = ()
     deviations: list[Array] | None = None
     held_grey: tuple[GreyState, ...] | None = None
-    known: tuple[list[Array], Evaluation] | None = None
+    known: tuple[Field, Evaluation] | None = None
     keeps_windows: bool = False
 
-    def with_large_gradients(self, q: Sequence[Array]) -> ResidualModel:
+    def with_large_gradients(self, q: Field) -> ResidualModel:
         """Take the gradient where the displacement puts it, if cells turn or stretch by much; collective."""
         return replace(self, follows=is_deformation_large(self.team, self.views, q))
 
-    def evaluate(self, q: Sequence[Array]) -> Evaluation:
+    def evaluate(self, q: Field) -> Evaluation:
         """Pass over all pixels; collective. Raises ConvergenceError on all ranks, where a camera has no pixel left."""
-        if self.known is not None and self._are_known(q):
+        if self.known is not None and q.is_equal_to(self.known[0]):
             return self.known[1]
         residuals = self.team.together(lambda: self._compute_residuals(q))
         if self.held_grey is not None:
@@ -124,29 +124,23 @@ class ResidualModel:
         grey = [self._grey_state(GreySums(total), by_cell) for total, by_cell in zip(sums, corrected, strict=True)]
         return Evaluation(residuals, tuple(grey))
 
-    def _compute_residuals(self, q: Sequence[Array]) -> list[tuple[Residual, ...]]:
+    def _compute_residuals(self, q: Field) -> ByView[Residual]:
         if not self.keeps_windows:
             # Before any is used: those who share a window would read it once each, larger and larger.
             read_frame_windows(self.views, q)
         all_kinds = self.correction != "none"
-        residuals = [tuple(view.compute_residual(q_s, all_kinds=all_kinds) for view in of_subdomain.views)
-                     for of_subdomain, q_s in zip(self.views, q, strict=True)]
+        residuals = self.views.map(lambda view, q_s: view.compute_residual(q_s, all_kinds=all_kinds),
+                                   self.views.fill(q))
         return residuals if self.pulled is None else keep_other_cells(self.pulled, residuals)
 
-    def assemble_right_hand_sides(self, evaluation: Evaluation, q: Sequence[Array]) -> list[Array]:
-        """Assemble b_s of all owned subdomains, Eq. 5 of [BP17]; free of communication.
+    def assemble_right_hand_side(self, evaluation: Evaluation, q: Field) -> Field:
+        """Assemble b, Eq. 7 of [BP17], grey levels squared per pixel, from the evaluation at q, on each rank."""
 
-        ``evaluation`` is that of ``q``; b_s, (n_unknowns,), is in grey levels squared per pixel.
-        """
-        b = []
-        for of_subdomain, residuals, q_s in zip(self.views, evaluation.residuals, q, strict=True):
-            of_views = []
-            for view, residual in zip(of_subdomain.views, residuals, strict=True):
-                gain, offset = self.find_correction(evaluation, view.camera, residual)
-                followed = view.with_moved_gradient(q_s) if self.follows else view
-                of_views.append(followed.assemble_right_hand_side(residual, gain, offset))
-            b.append(np.sum(of_views, axis=0))
-        return b
+        def assemble(view: FrameView, residual: Residual, q_s: Array) -> Array:
+            followed = view.with_moved_gradient(q_s) if self.follows else view
+            return followed.assemble_right_hand_side(residual, *self.find_correction(evaluation, view.camera, residual))
+
+        return q.with_parts(add_views(self.views.map(assemble, evaluation.residuals, self.views.fill(q))))
 
     def find_correction(self, evaluation: Evaluation, camera: int, residual: Residual) -> tuple[Array, Array]:
         """Find gain, no unit, and offset, grey levels, of a view's cells: one number, or one per cell, (n_cells,)."""
@@ -155,51 +149,38 @@ class ResidualModel:
         state = evaluation.grey[camera]
         return np.array(state.gain), np.array(state.offset)
 
-    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
-        """Pass over all pixels for Gauss-Newton; collective.
-
-        This gives b_s of each owned subdomain, (n_unknowns,), grey levels squared per pixel, and the statistics of each
-        camera.
-        """
+    def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
+        """Pass over all pixels: b, grey levels squared per pixel, and each camera's grey statistics; collective."""
         evaluation = self.evaluate(q)
-        b = self.assemble_right_hand_sides(evaluation, q)
+        b = self.assemble_right_hand_side(evaluation, q)
         for part in (self.rotation, self.filled):
             if part is not None:
-                b = [b_s + forces for b_s, forces in zip(b, part.compute_forces(q), strict=True)]
+                b = b + part.compute_forces(q)
         if self.pulled is not None:
-            b = [b_s + forces for b_s, forces in zip(b, sum_pulls(self.pulled, q), strict=True)]
+            b = b + sum_pulls(self.pulled, q)
         return b, evaluation.grey
 
-    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
+    def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction ``dq`` of unknowns ``q`` on displacements of nodes; collective.
 
         ``tolerances`` say from which correction on a node is slow.
         """
-        subdomains = [of_subdomain.subdomain for of_subdomain in self.views]
-        weights = self.weigh_nodes()
-        return measure_correction(self.team, subdomains, dq, q, weights, tolerances.largest)
+        return measure_correction(dq, q, self.weigh_nodes(), tolerances.largest)
 
     def weigh_nodes(self) -> list[Array] | None:
         """Weigh corrections of nodes by what can be known of them, (n_nodes,) of each owned subdomain."""
         return None if self.deviations is None else weigh_nodes(self.deviations)
 
-    def _are_known(self, q: Sequence[Array]) -> bool:
-        """Whether the residual at some unknowns is known; collective."""
-        known_q = [] if self.known is None else self.known[0]
-        differ = any(not np.array_equal(a, b) for a, b in zip(known_q, q, strict=True))
-        return not self.team.sum(int(differ))
-
-    def _sum_by_camera(self, residuals: Sequence[tuple[Residual, ...]],
-                       summed: Callable[[Residual], Array]) -> Array:
+    def _sum_by_camera(self, residuals: ByView[Residual], summed: Callable[[Residual], Array]) -> Array:
         """Sums over the pixels of each camera, (n_cameras, n); collective."""
-        by_subdomain = []
-        for of_subdomain, of_views in zip(self.views, residuals, strict=True):
-            values = [summed(residual) for residual in of_views]
-            rows = np.zeros((self.n_cameras, len(values[0])))
-            for view, value in zip(of_subdomain.views, values, strict=True):
-                rows[view.camera] += value
-            by_subdomain.append(rows)
-        return self.team.ordered_sum(by_subdomain)
+
+        def put_in_row(view: FrameView, residual: Residual) -> Array:
+            of_view = summed(residual)
+            rows = np.zeros((self.n_cameras, len(of_view)))
+            rows[view.camera] = of_view
+            return rows
+
+        return self.team.ordered_sum(add_views(self.views.map(put_in_row, residuals)))
 
     def _grey_state(self, total: GreySums, corrected: Array | None) -> GreyState:
         """Statistics of a camera from the sums over its pixels; corrected: of the residual corrected by cell, (2,)."""
@@ -212,11 +193,7 @@ class ResidualModel:
         if self.correction == "global":
             gain, offset = total.fit_gain_and_offset()
         first, second = total.sum_residual(gain, offset) if corrected is None else corrected
-        mean = float(first) / n
-        mean_square = float(second) / n
-        # Rounding may leave a variance of nothing below zero.
-        variance = max(mean_square - mean**2, 0.0)
-        return GreyState(float(np.sqrt(variance)), float(np.sqrt(mean_square)), int(n), float(gain), float(offset))
+        return GreyState(*measure_deviation(n, first, second), int(n), float(gain), float(offset))
 
 
 def _sums_corrected_by_cell(residual: Residual) -> Array:
@@ -225,17 +202,10 @@ def _sums_corrected_by_cell(residual: Residual) -> Array:
     return np.array([first.sum(), second.sum()])
 
 
-def find_inverse_deformations(of_subdomain: FrameViews, q: Array) -> ByView:
-    """Compute F^-1 of the cells of a subdomain, (n_cells, 2, 2), by camera."""
-    return tuple(compute_inverse_deformations(view.view.correlation.mesh, view.view.kinematics.displacement(q))
-                 for view in of_subdomain.views)
-
-
-def is_deformation_large(team: Team, views: Sequence[FrameViews], q: Sequence[Array]) -> bool:
+def is_deformation_large(team: Team, views: ByView[FrameView], q: Sequence[Array]) -> bool:
     """Tell whether more than a few cells of the region turn or stretch by much, the same on all ranks; collective."""
     counts = np.zeros(2)
-    for of_subdomain, q_s in zip(views, q, strict=True):
-        own = of_subdomain.views[0].view
+    for (own, *_), q_s in zip(views, q, strict=True):
         # By pixels: cells about a crack's tip are small and many.
         of_cells = own.count_pixels()
         is_large = find_large_gradients(own.correlation.mesh, own.kinematics.displacement(q_s))
@@ -250,19 +220,15 @@ class FilledCells:
 
     Attributes
     ----------
-    team, subdomains : Team, tuple of Subdomain
-        All ranks, and owned subdomains.
     of_nodes : tuple of (n_dofs, n_dofs) csr_matrix
-        Stiffness of the filled cells of each on displacements of nodes, not turned, grey levels squared per pixel
-        squared.
+        Stiffness of the filled cells of each owned subdomain on displacements of nodes, not turned, grey levels
+        squared per pixel squared.
     stiffness : tuple of (n_unknowns, n_unknowns) csr_matrix
         The same on unknowns, turned as far as the region had when the operators were assembled.
     held : float
         What their operators have on the diagonal beyond it, grey levels squared per pixel squared.
     """
 
-    team: Team
-    subdomains: tuple[Subdomain, ...]
     of_nodes: tuple[sparse.csr_matrix, ...]
     stiffness: tuple[sparse.csr_matrix, ...]
     held: float
@@ -277,34 +243,35 @@ class FilledCells:
         is_filled = stiffness.diagonal() > 0
         return (stiffness + sparse.diags(self.held * is_filled)).tocsr()
 
-    def compute_forces(self, q: Sequence[Array]) -> list[Array]:
-        """Compute the forces that b is given, (n_unknowns,) each, grey levels squared per pixel; collective."""
-        motion = fit_rigid_motion(self.team, self.subdomains, q)
-        forces = []
-        for subdomain, of_nodes, q_s in zip(self.subdomains, self.of_nodes, q, strict=True):
-            of_subdomain = np.zeros(subdomain.n_unknowns)
+    def compute_forces(self, q: Field) -> Field:
+        """Compute the forces that b is given, grey levels squared per pixel; collective."""
+        motion = fit_rigid_motion(q)
+
+        def compute(subdomain: Subdomain, q_s: Array, of_nodes: sparse.csr_matrix) -> Array:
+            forces = np.zeros(subdomain.n_unknowns)
             if of_nodes.nnz:
                 nodes = subdomain.mesh.nodes
                 field = subdomain.kinematics.displacement(q_s[:subdomain.n_field]).reshape(nodes.shape)
                 rest = (field - motion.evaluate(nodes)) @ motion.rotation
                 # Turned as the region is now: else the field would depend on where its operators were assembled.
                 pull = -(of_nodes @ rest.ravel()).reshape(nodes.shape) @ motion.rotation.T
-                of_subdomain[:subdomain.n_field] = subdomain.kinematics.project_vector(pull.ravel())
-            forces.append(of_subdomain)
-        return forces
+                forces[:subdomain.n_field] = subdomain.kinematics.project_vector(pull.ravel())
+            return forces
+
+        return q.map(compute, self.of_nodes)
 
 
-def fill_cells(team: Team, subdomains: Sequence[Subdomain], cells: Sequence[NDArray[np.bool_]], weight: float,
+def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[NDArray[np.bool_]], weight: float,
                angle: float) -> FilledCells:
     """Give cells without pixels an elastic energy; free of communication.
 
     ``cells``, (n_cells,), say which ones of each owned subdomain; ``weight`` is the mean diagonal of M, grey levels
     squared per pixel squared, ``angle`` that by which the region has turned, radians.
     """
-    of_nodes = [_assemble(subdomain, chosen, STIFFNESS * weight)
-                for subdomain, chosen in zip(subdomains, cells, strict=True)]
-    stiffness = [_turn(subdomain, matrix, angle) for subdomain, matrix in zip(subdomains, of_nodes, strict=True)]
-    return FilledCells(team, tuple(subdomains), tuple(of_nodes), tuple(stiffness), HELD * weight)
+    of_nodes = tuple(_assemble(subdomain, chosen, STIFFNESS * weight)
+                     for subdomain, chosen in zip(subdomains, cells, strict=True))
+    stiffness = tuple(_turn(subdomain, matrix, angle) for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
+    return FilledCells(of_nodes, stiffness, HELD * weight)
 
 
 def _assemble(subdomain: Subdomain, chosen: NDArray[np.bool_], modulus: float) -> sparse.csr_matrix:

@@ -6,23 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddic.case.schema import Case, PgdSection, RegularizationSection
-from ddic.errors import InputError
+from ddic.case.schema import RegularizationSection
+from ddic.errors import InputError, as_collective
 from ddic.functionals.regularization import find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import (
-    Rectangle,
-    check_rectangle,
-    choose_controlled_lines,
-    find_rectangle,
-    find_rectangle_of_case,
-)
+from ddic.inputs.rectangle import Rectangle, build_rectangle, check_rectangle, choose_controlled_lines, find_rectangle
 from ddic.parallel.distribution import TeamSums
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.problem.region_mesh import build_material
 from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
 from ddic.separated.band_sums import divide_rows
@@ -88,8 +82,10 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
     with clock.phase(Phase.ASSEMBLE):
         regularization = build_regularization(case.regularization, reference, rectangle)
         size = measure_separated_size(team, inputs, reference, regularization)
-    return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, choose_scheme(case),
-                            choose_rules(case))
+    section = require_held(case.pgd)
+    scheme = Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
+    rules = StoppingRules(section.tolerance, section.rms_tolerance, section.max_corrections, section.stop_at_noise)
+    return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, scheme, rules)
 
 
 def _choose_rectangle(inputs: Inputs) -> Rectangle:
@@ -97,16 +93,9 @@ def _choose_rectangle(inputs: Inputs) -> Rectangle:
     case, mesh, image = inputs.case, inputs.given_mesh, inputs.cameras[0].reference.image
     if inputs.choose_kinematics is not None:
         raise InputError("kinematics: [pgd] has products of functions for unknowns; leave one of them out")
-    rectangle = find_rectangle_of_case(case) if mesh is None else find_rectangle(mesh)
+    rectangle = build_rectangle(case) if mesh is None else find_rectangle(mesh)
     check_rectangle(case, rectangle, image.width, image.height)
     return rectangle
-
-
-def choose_own_bands(rectangle: Rectangle, rank: int, n_ranks: int) -> tuple[int, list[range]]:
-    """Choose the bands of rows that a rank reads, and the first one's number; all ranks have about as many."""
-    bands = divide_rows(rectangle.along_y)
-    edges = np.linspace(0, len(bands), n_ranks + 1).round().astype(int)
-    return int(edges[rank]), bands[edges[rank]:edges[rank + 1]]
 
 
 def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferencePixels:
@@ -115,7 +104,11 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
     Raises InputError on all ranks, where an image cannot be read or no pixel counts.
     """
     source, degree = inputs.cameras[0].reference, inputs.case.correlation.spline_degree
-    first, own = choose_own_bands(rectangle, team.rank, team.size)
+    all_bands = divide_rows(rectangle.along_y)
+    # All ranks have about as many.
+    edges = np.linspace(0, len(all_bands), team.size + 1).round().astype(int)
+    first, end = edges[team.rank:team.rank + 2].tolist()
+    own = all_bands[first:end]
 
     def read() -> ReferencePixels:
         columns = rectangle.along_x.pixels
@@ -127,12 +120,9 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
 
     reference = team.together(read)
     if not team.sum(count_usable(reference.bands)):
-        team.together(_refuse_nothing_to_see)
+        raise as_collective(InputError(
+            "images.reference_mask: it leaves out every pixel of mesh.structured.region; check both"))
     return reference
-
-
-def _refuse_nothing_to_see() -> None:
-    raise InputError("images.reference_mask: it leaves out every pixel of mesh.structured.region; check both")
 
 
 def build_regularization(section: RegularizationSection | None, reference: ReferencePixels,
@@ -172,21 +162,3 @@ def measure_separated_size(team: Team, inputs: Inputs, reference: ReferencePixel
     eta = 0.0 if regularization is None else regularization.weight
     return ProblemSize(2 * n_x * n_y, (n_x - 1) * (n_y - 1), int(team.sum(count_usable(reference.bands))), 1,
                        team.size, 0, dynamic_range, eta, describe_cut_off(inputs.case.regularization))
-
-
-def choose_scheme(case: Case) -> Scheme:
-    """Say how corrections are found, as a case with [pgd] asks for."""
-    section = _get_section(case)
-    return Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
-
-
-def choose_rules(case: Case) -> StoppingRules:
-    """Say when corrections end, as a case with [pgd] asks for."""
-    section = _get_section(case)
-    return StoppingRules(section.tolerance, section.rms_tolerance, section.max_corrections, section.stop_at_noise)
-
-
-def _get_section(case: Case) -> PgdSection:
-    if case.pgd is None:
-        raise TypeError("a case without [pgd] is no PGD-DIC")
-    return case.pgd

@@ -1,9 +1,12 @@
-"""Subdomains with their cameras' pixels: of the reference images, and of one frame."""
+"""Cameras' pixels of owned subdomains: of the reference images, and of one frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import reduce
+from operator import add
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,78 +22,20 @@ from ddic.inputs.cameras import Camera, Frame
 from ddic.kinematics.camera import place_before_camera
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import ByView
 from ddic.partition.subdomain import Subdomain
 
+V = TypeVar("V", bound=View)
 
-@dataclass(frozen=True)
-class ReferenceViews:
-    """An owned subdomain with its pixels of the reference images.
-
-    Attributes
-    ----------
-    subdomain : Subdomain
-        Its cells and unknowns.
-    views : tuple of View
-        Of its own camera first, then of others that see it as well.
-    """
-
-    subdomain: Subdomain
-    views: tuple[View, ...]
-
-    @property
-    def own(self) -> View:
-        """What its own camera says."""
-        return self.views[0]
-
-    def weigh(self, weights: Sequence[float]) -> ReferenceViews:
-        """Give each camera its weight in the functional, of squared grey levels, no unit."""
-        return replace(self, views=tuple(replace(view, weight=weights[view.camera]) for view in self.views))
-
-    def project(self, hessians: Sequence[sparse.csr_matrix]) -> sparse.csr_matrix:
-        """Add up the cameras' M in the subdomain's unknowns: M_s, (n_unknowns, n_unknowns).
-
-        ``hessians`` are M of each view, (n_dofs, n_dofs), on displacements of nodes in its image.
-        """
-        total = self.views[0].project(hessians[0])
-        for view, hessian in zip(self.views[1:], hessians[1:], strict=True):
-            total = total + view.project(hessian)
-        return total.tocsr()
-
-    def alone(self) -> ReferenceViews:
-        """Give the same as its own camera alone sees it, in a set-up that does not move: the field's unknowns only."""
-        still = replace(self.own.hold_still(), camera=0)
-        return ReferenceViews(replace(self.subdomain, motion=None), (still,))
+Hessians = ByView[sparse.csr_matrix]
+"""M of each view, on displacements of nodes in its image, (n_dofs, n_dofs)."""
 
 
-@dataclass(frozen=True)
-class FrameViews:
-    """An owned subdomain with its pixels in one frame.
-
-    Attributes
-    ----------
-    reference, views : ReferenceViews, tuple of FrameView
-        The same in the reference images, and in the frame by the same cameras.
-    """
-
-    reference: ReferenceViews
-    views: tuple[FrameView, ...]
-
-    @property
-    def subdomain(self) -> Subdomain:
-        """Its cells and unknowns."""
-        return self.reference.subdomain
-
-    def alone(self) -> FrameViews:
-        """Give the same as its own camera alone sees it, in a set-up that does not move: the field's unknowns only."""
-        reference = self.reference.alone()
-        return FrameViews(reference, (FrameView(reference.own, self.views[0].deformed),))
-
-
-def read_reference_views(case: Case, cameras: Sequence[Camera],
-                         subdomains: Sequence[Subdomain]) -> list[ReferenceViews]:
+def read_reference_views(case: Case, cameras: Sequence[Camera], subdomains: Sequence[Subdomain]) -> ByView[View]:
     """Read the windows of the reference images that this rank's subdomains need; free of communication.
 
-    All cameras weigh 1. Raises InputError where pixels of the mesh lie outside an image.
+    The views of a subdomain are that of its own camera first, then of others that see it as well. All cameras weigh 1.
+    Raises InputError where pixels of the mesh lie outside an image.
     """
     threads = Threads(case.solver.threads)
     views: list[list[View]] = [[] for _ in subdomains]
@@ -100,9 +45,8 @@ def read_reference_views(case: Case, cameras: Sequence[Camera],
         groups = _read_groups(camera, [k.mesh for k in kinematics], case.correlation.spline_degree, threads)
         for place, of_subdomain, (group, correlation) in zip(seen, kinematics, groups, strict=True):
             views[place].append(View(correlation, of_subdomain, camera.number, group))
-    # Its own camera first.
-    return [ReferenceViews(s, tuple(sorted(of_subdomain, key=lambda view: view.camera != s.camera)))
-            for s, of_subdomain in zip(subdomains, views, strict=True)]
+    return ByView(sorted(of_subdomain, key=lambda view: view.camera != s.camera)
+                  for s, of_subdomain in zip(subdomains, views, strict=True))
 
 
 def _is_seen_by(camera: Camera, cameras: Sequence[Camera], subdomain: Subdomain) -> bool:
@@ -130,31 +74,47 @@ def _read_groups(camera: Camera, meshes: Sequence[Mesh], degree: int,
     return [(number, correlation) for number, group in enumerate(groups) for correlation in group]
 
 
-def open_frame_views(case: Case, frame: Frame, references: Sequence[ReferenceViews]) -> list[FrameViews]:
+def open_frame_views(case: Case, frame: Frame, views: ByView[View]) -> ByView[FrameView]:
     """Look at a frame; its windows are read when unknowns say where.
 
     Views that share a window of the reference share one of the frame.
     """
     threads = Threads(case.solver.threads)
     windows: dict[tuple[int, int], DeformedSubImage] = {}
-    for reference in references:
-        for view in reference.views:
-            windows.setdefault((view.camera, view.group),
-                               DeformedSubImage(frame[view.camera], case.correlation.spline_degree, threads))
-    return [FrameViews(reference, tuple(FrameView(view, windows[view.camera, view.group])
-                                        for view in reference.views))
-            for reference in references]
+    for view in views.flat:
+        windows.setdefault((view.camera, view.group),
+                           DeformedSubImage(frame[view.camera], case.correlation.spline_degree, threads))
+    return views.map(lambda view: view.open_frame(windows[view.camera, view.group]))
 
 
-def read_frame_windows(views: Sequence[FrameViews], q: Sequence[NDArray[np.float64]]) -> None:
+def read_frame_windows(views: ByView[FrameView], q: Sequence[NDArray[np.float64]]) -> None:
     """Read the windows of a frame that unknowns ask for, and no larger ones; free of communication."""
     wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
-    for of_subdomain, q_s in zip(views, q, strict=True):
-        for view in of_subdomain.views:
-            window = view.find_displaced_window(q_s)
-            known = wanted.get(id(view.deformed))
-            # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
-            union = window if known is None else window.union(known[1])
-            wanted[id(view.deformed)] = (view.deformed, union)
+    for view, q_s in zip(views.flat, views.fill(q).flat, strict=True):
+        window = view.find_displaced_window(q_s)
+        known = wanted.get(id(view.deformed))
+        # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
+        union = window if known is None else window.union(known[1])
+        wanted[id(view.deformed)] = (view.deformed, union)
     for deformed, window in wanted.values():
         deformed.hold(window)
+
+
+def project_hessians(views: ByView[V], hessians: Hessians) -> list[sparse.csr_matrix]:
+    """Add up the cameras' M in the unknowns of each subdomain: M_s, (n_unknowns, n_unknowns)."""
+    return add_matrices(views.map(View.project, hessians))
+
+
+def add_matrices(matrices: ByView[sparse.csr_matrix]) -> list[sparse.csr_matrix]:
+    """Add up the views of each owned subdomain, in their order."""
+    return [reduce(add, of_views).tocsr() for of_views in matrices]
+
+
+def hold_set_ups_still(subdomains: Sequence[Subdomain], views: ByView[V]) -> tuple[list[Subdomain], ByView[V]]:
+    """Give what each subdomain's own camera alone sees, in a set-up that does not move: the field's unknowns only."""
+    return [replace(s, motion=None) for s in subdomains], ByView([own.hold_still()] for own, *_ in views)
+
+
+def weigh_cameras(views: ByView[V], weights: Sequence[float]) -> ByView[V]:
+    """Give each camera its weight in the functional, of squared grey levels, no unit."""
+    return views.map(lambda view: replace(view, weight=weights[view.camera]))

@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 from ddic.case.schema import RegularizationSection
 from ddic.errors import SingularSubdomainError, as_collective, is_collective
 from ddic.functionals.regularization import HalfAmplitudes, find_half_amplitudes
-from ddic.functionals.view import CellSlopes, FrameView
+from ddic.functionals.view import CellSlopes, FrameView, View
 from ddic.inputs.cameras import Frame
 from ddic.mesh.plane import build_rotation
+from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.assembly import assemble
-from ddic.problem.linear_solver import LinearSolver, compute_cut_off_wavelength
+from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem
-from ddic.problem.region_mesh import build_material
+from ddic.problem.region_mesh import build_material, compute_cut_off_wavelength
 from ddic.problem.region_rotation import (
     KEPT_STEPS,
     LEAST_ANGLE,
@@ -29,17 +30,9 @@ from ddic.problem.region_rotation import (
     fit_rigid_motion,
     measure_turn,
 )
-from ddic.problem.renewal import (
-    AssembledFrom,
-    CellCounts,
-    RenewalRule,
-    describe_lost_pixels,
-    find_free_unknowns,
-    find_held,
-    find_renewal,
-)
+from ddic.problem.renewal import AssembledFrom, describe_lost_pixels, find_free_unknowns, find_held, find_renewal
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import FrameViews, ReferenceViews, open_frame_views
+from ddic.problem.views import open_frame_views, weigh_cameras
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.local_operator import describe_lost
 
@@ -72,12 +65,12 @@ class WeightedProblem:
                  factorize_now: bool = True) -> None:
         self.team, self.reference = team, reference
         self.noise: tuple[float, ...] = ()
-        self.n_assembled = len(reference.references)
+        self.n_assembled = len(reference.subdomains)
         self._clock = clock
         self._weights: list[float] = []
         self._solver: LinearSolver | None = None
         self._size: ProblemSize | None = None
-        self._assembled_from = AssembledFrom.all_of(reference.references)
+        self._assembled_from = AssembledFrom.all_of(reference.subdomains, reference.views)
         # By which the stiffness is turned, radians.
         self._stiffness_angle = 0.0
         # Whether a frame has changed M or K.
@@ -100,9 +93,9 @@ class WeightedProblem:
         reference = self.reference
         if reference.inputs.case.regularization is not None:
             return False
-        unseen = [~find_held(subdomain, counts) for subdomain, counts
-                  in zip(reference.subdomains, self._assembled_from.by_view, strict=True)]
-        return bool(find_free_unknowns(self.team, reference.subdomains, unseen))
+        unseen = [~find_held(subdomain, n_pixels) for subdomain, n_pixels
+                  in zip(reference.subdomains, self._assembled_from.n_pixels, strict=True)]
+        return len(find_free_unknowns(self.team, reference.subdomains, unseen)) > 0
 
     @property
     def is_set_up(self) -> bool:
@@ -131,21 +124,22 @@ class WeightedProblem:
         return Tolerances(section.tolerance, section.rms_tolerance, section.max_iterations, case.solver.inexact,
                           section.largest_tolerance)
 
-    def open_frame(self, frame: Frame) -> list[FrameViews]:
+    def open_frame(self, frame: Frame) -> ByView[FrameView]:
         """Look at a frame, cameras not yet weighted; its windows are read when unknowns say where."""
-        return open_frame_views(self.reference.inputs.case, frame, self.reference.references)
+        return open_frame_views(self.reference.inputs.case, frame, self.reference.views)
 
-    def build_residual_model(self, views: Sequence[FrameViews]) -> ResidualModel:
+    def build_residual_model(self, views: ByView[FrameView]) -> ResidualModel:
         """Model the residual of a frame, cameras weighted: what Gauss-Newton asks of the images."""
         inputs = self.reference.inputs
         asked = inputs.case.correlation.grey_correction
         correction = "none" if asked == "auto" else asked
-        return ResidualModel(self.team, self.weigh(views), correction, len(inputs.cameras))
+        return ResidualModel(self.team, self.reference.subdomains, weigh_cameras(views, self._weights), correction,
+                             len(inputs.cameras))
 
     @cached_property
-    def slopes(self) -> list[list[CellSlopes]]:
-        """Mean of grad f grad f^T on the cells of each owned subdomain and view."""
-        return [[view.measure_slopes() for view in r.views] for r in self.reference.references]
+    def slopes(self) -> ByView[CellSlopes]:
+        """Mean of grad f grad f^T on the cells of each view."""
+        return self.reference.views.map(View.measure_slopes)
 
     def set_noise(self, noise: Sequence[float]) -> None:
         """Weight the cameras by the standard deviations of their noise, grey levels; collective.
@@ -155,18 +149,7 @@ class WeightedProblem:
         self.noise = tuple(noise)
         self._weigh([(noise[0] / sigma) ** 2 for sigma in noise])
 
-    def weigh(self, views: Sequence[FrameViews]) -> list[FrameViews]:
-        """Give the cameras of a frame their weights."""
-        weighted = []
-        for of_subdomain in views:
-            reference = of_subdomain.reference.weigh(self._weights)
-            frame_views = tuple(FrameView(view, old.deformed)
-                                for view, old in zip(reference.views, of_subdomain.views, strict=True))
-            weighted.append(FrameViews(reference, frame_views))
-        return weighted
-
-    def hold_rotation(self, model: ResidualModel,
-                      q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
+    def hold_rotation(self, model: ResidualModel, q: Field) -> tuple[ResidualModel, tuple[str, ...]]:
         """Let a rotation of the region, told by unknowns ``q``, cost nothing; collective.
 
         The equilibrium gap of the new model is that of q less its rigid motion. The notes are for the log; there are
@@ -174,7 +157,7 @@ class WeightedProblem:
         """
         if self.reference.inputs.case.regularization is None:
             return model, ()
-        angle = fit_rigid_motion(self.team, self.reference.subdomains, q).angle
+        angle = fit_rigid_motion(q).angle
         notes: tuple[str, ...] = ()
         # Not at every step's edge: two solutions might take turns.
         if abs(measure_turn(self._stiffness_angle, angle)) > KEPT_STEPS * STEP_ANGLE:
@@ -185,8 +168,7 @@ class WeightedProblem:
         if abs(angle) <= LEAST_ANGLE:
             return replace(model, rotation=None), notes
         note = f"the region has turned by {np.rad2deg(angle):.2f} degrees: the equilibrium gap is that of what is left"
-        held = HeldRotation(self.team, tuple(self.solver.assembly.systems))
-        return replace(model, rotation=held), (*notes, note)
+        return replace(model, rotation=HeldRotation(self.team, self.solver.assembly.systems)), (*notes, note)
 
     def _turn_stiffness(self, angle: float) -> None:
         """Set the systems up anew, with R K R^T; where that fails, the old ones stay."""
@@ -203,8 +185,7 @@ class WeightedProblem:
         # Before the new ones are factorised.
         old.destroy()
 
-    def fit(self, model: ResidualModel,
-            q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
+    def fit(self, model: ResidualModel, q: Field) -> tuple[ResidualModel, tuple[str, ...]]:
         """Let a rotation of the region cost nothing, and M count what a model shows; collective.
 
         The frame is thought to show the specimen at ``q``. The new model has what lets the rotation cost nothing, and
@@ -215,40 +196,40 @@ class WeightedProblem:
         fitted, of_pixels = self.renew(turned, q)
         return fitted, (*of_rotation, *of_pixels)
 
-    def renew(self, model: ResidualModel,
-              q: Sequence[NDArray[np.float64]]) -> tuple[ResidualModel, tuple[str, ...]]:
+    def renew(self, model: ResidualModel, q: Field) -> tuple[ResidualModel, tuple[str, ...]]:
         """Assemble and factorise again where a frame shows something else than M was made of; collective.
 
         Cameras are weighted, and the frame is thought to show the specimen at ``q``. The new model has the cells that
         neither pixels nor mechanics hold; the notes are for the log, none where nothing changes. Raises
         SingularSubdomainError or FactorizationError on all ranks.
         """
-        rule = RenewalRule(compute_cut_off_wavelength(self.reference.inputs.case), model.follows, model.blurs)
+        wavelength = compute_cut_off_wavelength(self.reference.inputs.case)
         with self._clock.phase(Phase.ASSEMBLE):
-            renewal = find_renewal(self.team, model.views, q, (self._assembled_from, self.reference.hessians), rule,
+            renewal = find_renewal(model, q, (self._assembled_from, self.reference.hessians), wavelength,
                                    self.solver.assembly)
         if renewal.notes or not self.solver.is_set_up:
             self.n_assembled += sum(system is not None for system in renewal.systems)
             try:
                 self.solver.renew(renewal.systems)
             except SingularSubdomainError as error:
-                raise self._explain(error, model.views, renewal.assembled_from.by_view) from error
+                raise self._explain(error, model, renewal.assembled_from.n_pixels) from error
             # Not before: where the factorisation fails, the next frame asks for it again.
             self._assembled_from = renewal.assembled_from
             self._is_changed |= bool(renewal.notes)
             if model.rotation is not None:
                 # Of the rows that count now.
-                model = replace(model, rotation=HeldRotation(self.team, tuple(self.solver.assembly.systems)))
+                model = replace(model, rotation=HeldRotation(self.team, self.solver.assembly.systems))
         if self._size is None:
             self._size = measure_problem_size(self.team, self.reference, self.solver)
         return replace(model, filled=renewal.filled), renewal.notes
 
-    def _explain(self, error: SingularSubdomainError, views: Sequence[FrameViews],
-                 counts: Sequence[CellCounts]) -> SingularSubdomainError:
+    @staticmethod
+    def _explain(error: SingularSubdomainError, model: ResidualModel,
+                 n_pixels: ByView[NDArray[np.int64]]) -> SingularSubdomainError:
         """The error with what a frame has to do with it; collective where it is."""
         if not is_collective(error):
             return error
-        reason = describe_lost_pixels(self.team, views, counts)
+        reason = describe_lost_pixels(model, n_pixels)
         return as_collective(SingularSubdomainError(describe_lost(str(error), reason))) if reason else error
 
     def begin_anew(self) -> None:
@@ -272,11 +253,9 @@ class WeightedProblem:
         self._weights = weights
         reference = self.reference
         with self._clock.phase(Phase.ASSEMBLE):
-            weighted: list[ReferenceViews] = [r.weigh(weights) for r in reference.references]
             rotation = None if self._stiffness_angle == 0 else build_rotation(self._stiffness_angle)
-            assembly = assemble(self.team, reference.inputs.case, reference.region, weighted, reference.hessians,
-                                rotation)
-        self._assembled_from = AssembledFrom.all_of(reference.references)
+            assembly = assemble(self.team, reference, weights, rotation)
+        self._assembled_from = AssembledFrom.all_of(reference.subdomains, reference.views)
         choice = reference.inputs.choice
         self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock,
                                     None if choice is None else choice.most_iterations)
@@ -316,11 +295,9 @@ class ProblemSize:
 def measure_problem_size(team: Team, reference: ReferenceProblem, solver: LinearSolver) -> ProblemSize:
     """Count what is about to be solved, once the solver is set up; collective."""
     region = reference.region
-    ranges = team.gather_lists([r.own.measure_grey_range() for r in reference.references])
-    lowest = min(low for low, _ in ranges)
-    highest = max(high for _, high in ranges)
+    lowest, highest = zip(*team.gather_lists([own.measure_grey_range() for own, *_ in reference.views]), strict=True)
     return ProblemSize(region.n_field, region.n_cells, reference.n_pixels, region.n_subdomains, team.size,
-                       solver.n_interface, highest - lowest, solver.assembly.eta,
+                       solver.n_interface, max(highest) - min(lowest), solver.assembly.eta,
                        describe_cut_off(reference.inputs.case.regularization))
 
 

@@ -21,10 +21,12 @@ from ddic.io.image_file import ImageFile
 from ddic.io.result_reader import Result
 from ddic.mesh.quality import measure_covered_areas
 from ddic.plots.canvas import find_length_unit
-from ddic.probes.displacement_chain import find_chain
-from ddic.probes.metrology import Metrology, estimate_metrology
+from ddic.probes.metrology import Metrology, estimate_metrology, find_chain
 from ddic.probes.probes import PointProbe
-from ddic.report.statement import NOT_RECORDED, NOT_STATED, Gathered, Items, Statement
+from ddic.report.gathered import NOT_RECORDED, NOT_STATED, Gathered
+
+Items = list[tuple[str, str]]
+"""What is stated, and its value."""
 
 N_WINDOWS = 15
 """Places at which the pattern is looked at, spread over the elements."""
@@ -35,7 +37,7 @@ OF_SETUP = (("Specimen", "specimen"), ("Camera", "camera"), ("Lens", "lens"), ("
 """What the user alone knows: its name in the report, its key in ``[acquisition]``."""
 
 
-def list_setup(gathered: Gathered) -> Items:
+def _list_setup(gathered: Gathered) -> Items:
     """List what the case says of the set-up, in its own words; where it says nothing, the key that would."""
     section, shape = gathered.get_section("images"), _parse_size(gathered)
     items = [(name, _quote(gathered, key)) for name, key in OF_SETUP]
@@ -62,7 +64,7 @@ def _parse_size(gathered: Gathered) -> tuple[int, int] | None:
     return (int(parts[0]), int(parts[1])) if len(parts) == 2 else None
 
 
-def list_images(gathered: Gathered) -> Items:
+def _list_images(gathered: Gathered) -> Items:
     """List sizes, grey levels, features and noise of the images, and what was done to them.
 
     They are measured where the images are still there.
@@ -121,16 +123,19 @@ def _describe_filtering(gathered: Gathered) -> str:
     return "; ".join(["none but the interpolating spline", *blurs])
 
 
-def list_statements(gathered: Gathered) -> list[Statement]:
-    """List all that is stated of a measurement, in the order of the guides.
+def list_statements(gathered: Gathered) -> dict[str, Items]:
+    """List all that is stated of a measurement, by what stands above it, in the order of the guides.
 
     How images were taken, what they are like, how they were compared, what it is worth.
     """
-    return [Statement("Set-up", list_setup(gathered)), Statement("Images and pattern", list_images(gathered)),
-            Statement("Mesh and formulation", _list_formulation(gathered)),
-            Statement("Regularisation", _list_regularization(gathered)),
-            Statement("Convergence", _list_convergence(gathered)),
-            Statement("Resolution and noise floors", _list_metrology(gathered))]
+    return {
+        "Set-up": _list_setup(gathered),
+        "Images and pattern": _list_images(gathered),
+        "Mesh and formulation": _list_formulation(gathered),
+        "Regularisation": _list_regularization(gathered),
+        "Convergence": _list_convergence(gathered),
+        "Resolution and noise floors": _list_metrology(gathered),
+    }
 
 
 def _list_formulation(gathered: Gathered) -> Items:

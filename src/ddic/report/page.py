@@ -1,16 +1,12 @@
-"""The page of a report.
-
-The pictures of a report, as they stand in its page.
-"""
+"""The page of a report, with its pictures in it."""
 
 from __future__ import annotations
 
 import base64
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -25,10 +21,10 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
 from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
 from ddic.plots.curves import draw_corrections, draw_iterations, draw_krylov
-from ddic.plots.deformed import draw_deformed
 from ddic.plots.maps import (
     Preview,
     StrainChoice,
+    draw_deformed,
     draw_displacement,
     draw_strain,
     pick_number,
@@ -36,8 +32,8 @@ from ddic.plots.maps import (
     read_preview,
 )
 from ddic.plots.residual import draw_grey_histogram, draw_residual, draw_residual_histogram
+from ddic.report.gathered import NOT_RECORDED, NOT_STATED, Gathered, gather_all
 from ddic.report.items import WorstPlace, find_field_metrology, find_worst_places, list_statements
-from ddic.report.statement import NOT_RECORDED, NOT_STATED, Gathered, gather_all
 
 SHOWN_PERCENT = 99.5
 """Of the strains of nodes, those to either end of the colours."""
@@ -46,11 +42,8 @@ DPI = 110
 """Dots an inch: sharp on a screen, and some hundred kilobytes a picture."""
 
 
-Drawing = tuple[str, str, Callable[[], Figure]]
-"""Name, caption, and what draws it."""
-
 Drawn = tuple[str, str, Figure]
-"""Name, caption and page."""
+"""Name, caption and page of a picture."""
 
 
 @dataclass(frozen=True)
@@ -89,36 +82,33 @@ def draw_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dic
     ``places`` are marked in the residual.
     """
     previews = {name: read_preview(image) for name, image in gathered.images.items()}
-    drawings: dict[str, list[Drawing]] = {
-        "fields": _list_fields(gathered, previews.get("reference")),
-        "residual": [("residual", _caption_residual(gathered), partial(_draw_marked_residual, gathered, places))],
-        "convergence": _list_curves(gathered),
-        "histograms": _list_histograms(gathered, previews),
+    drawn = {
+        "fields": _draw_fields(gathered, previews.get("reference")),
+        "residual": [("residual", _caption_residual(gathered), _draw_marked_residual(gathered, places))],
+        "convergence": _draw_curves(gathered),
+        "histograms": _draw_histograms(gathered, previews),
     }
-    drawn = {section: [(name, caption, draw()) for name, caption, draw in listed]
-             for section, listed in drawings.items()}
     for of_section in drawn.values():
         for _, _, figure in of_section:
             draw_failures(figure, [gathered.result])
     return drawn
 
 
-def _list_fields(gathered: Gathered, image: Preview | None) -> list[Drawing]:
+def _draw_fields(gathered: Gathered, image: Preview | None) -> list[Drawn]:
     """Displacement and strain over the image, and the deformed mesh."""
     result, unit = gathered.result, find_length_unit(gathered.result)
     over = "over the reference image" if image is not None else "on the mesh; the reference image is not there"
-    drawn: list[Drawing] = [
-        (f"displacement {axis}", f"Displacement u_{axis} {over}.",
-         partial(draw_displacement, result, image, axis, unit)) for axis in ("x", "y")]
+    drawn: list[Drawn] = [(f"displacement {axis}", f"Displacement u_{axis} {over}.",
+                           draw_displacement(result, image, axis, unit)) for axis in ("x", "y")]
     by_cell = schema.NODAL_INFINITESIMAL not in result.point_data
     where = "in the middle of elements" if by_cell else "at nodes"
     if not by_cell or schema.STRAIN_INFINITESIMAL in result.cell_data:
-        drawn += [(f"strain {pair}", f"Infinitesimal strain {pair} {where}, {over}; colours end at the {SHOWN_PERCENT} "
-                                     "% quantiles.",
-                   partial(_draw_strain, result, StrainChoice("infinitesimal", pair, by_cell), image))
-                  for pair in ("xx", "yy", "xy")]
+        for pair in ("xx", "yy", "xy"):
+            caption = f"Infinitesimal strain {pair} {where}, {over}; colours end at the {SHOWN_PERCENT} % quantiles."
+            figure = _draw_strain(result, StrainChoice("infinitesimal", pair, by_cell), image)
+            drawn.append((f"strain {pair}", caption, figure))
     caption = "The deformed mesh without its rigid motion, amplified as the title says, over the mesh at rest."
-    return [*drawn, ("deformed mesh", caption, partial(draw_deformed, result, unit=unit))]
+    return [*drawn, ("deformed mesh", caption, draw_deformed(result, unit=unit))]
 
 
 def _draw_strain(result: Result, choice: StrainChoice, image: Preview | None) -> Figure:
@@ -145,30 +135,30 @@ def _draw_marked_residual(gathered: Gathered, places: Sequence[WorstPlace]) -> F
     return figure
 
 
-def _list_curves(gathered: Gathered) -> list[Drawing]:
+def _draw_curves(gathered: Gathered) -> list[Drawn]:
     """Convergence of the displacement and of the linear step."""
     result = gathered.result
-    drawn: list[Drawing] = []
+    drawn: list[Drawn] = []
     if len(result.gauss_newton.get("iteration", ())):
         drawn.append(("iterations", "Corrections of Gauss-Newton, and the residual before each of them.",
-                      partial(draw_iterations, result.gauss_newton, gathered.noise_floor)))
+                      draw_iterations(result.gauss_newton, gathered.noise_floor)))
     if len(result.corrections.get("correction", ())):
-        drawn.append(("corrections", "Corrections of PGD-DIC.", partial(draw_corrections, result.corrections)))
+        drawn.append(("corrections", "Corrections of PGD-DIC.", draw_corrections(result.corrections)))
     if any(len(history) for history in result.krylov):
         drawn.append(("Krylov iterations", "Convergence of the interface problem in each iteration.",
-                      partial(draw_krylov, {"": result.krylov})))
+                      draw_krylov({"": result.krylov})))
     return drawn
 
 
-def _list_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[Drawing]:
-    drawn: list[Drawing] = []
+def _draw_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[Drawn]:
+    drawn: list[Drawn] = []
     residual = gathered.result.residual_image
     if residual is not None:
         caption = "The residual beside a normal distribution: what stands above it in the tails is not noise."
-        drawn.append(("residual histogram", caption, partial(draw_residual_histogram, residual)))
+        drawn.append(("residual histogram", caption, draw_residual_histogram(residual)))
     if previews:
         pixels = {name: preview.pixels for name, preview in previews.items()}
-        drawn.append(("grey-level histogram", "Grey levels of the images.", partial(draw_grey_histogram, pixels)))
+        drawn.append(("grey-level histogram", "Grey levels of the images.", draw_grey_histogram(pixels)))
     return drawn
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.kinematics.strain import compute_displacement_gradients, compute_infinitesimal
 from ddic.parallel.distribution import sum_shared_nodes
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.residual_model import Evaluation, ResidualModel
@@ -18,12 +19,13 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.fields import recover_nodal_gradients
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.probing import estimate_response
-from ddic.visibility.force_noise import ForceNoise, measure_force_noise
 from ddic.visibility.noise_forces import (
     OF_RESIDUAL,
+    ForceNoise,
     ImageNoise,
     NoiseForces,
     find_image_noise,
+    measure_force_noise,
     prepare_noise_forces,
     prepare_residual_forces,
 )
@@ -93,12 +95,12 @@ class FieldUncertainty:
 
 
 def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
-                               q: Sequence[Array], unmeasured: Sequence[NDArray[np.bool_]]) -> FieldUncertainty:
+                               q: Field, unmeasured: Sequence[NDArray[np.bool_]]) -> FieldUncertainty:
     """Estimate what noise and regularization do to a measured field; collective.
 
-    ``problem`` has the operators that found the field, ``model`` the pixels that count; ``q`` are unknowns of each
-    owned subdomain, (n_unknowns,). ``unmeasured`` are the nodes of each that nothing holds: they have nan. Raises
-    ConvergenceError on all ranks where a linear step does not converge.
+    ``problem`` has the operators that found the field, ``model`` the pixels that count. ``unmeasured`` are the nodes of
+    each owned subdomain that nothing holds: they have nan. Raises ConvergenceError on all ranks where a linear step
+    does not converge.
     """
     team, subdomains, step = problem.team, problem.reference.subdomains, problem.solver.step
     case, is_regularized = problem.reference.inputs.case, problem.solver.assembly.eta > 0
@@ -148,9 +150,9 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
     """
     squares = [(np.zeros((s.mesh.n_nodes, 2)), np.zeros((s.mesh.n_nodes, 3)), np.zeros((s.mesh.n_cells, 3)))
                for s in subdomains]
-    at_rest = [np.zeros(s.n_unknowns) for s in subdomains]
+    at_rest = Field.zero(team, subdomains)
     for sample in range(forces.n_samples):
-        b = [scale * b_s for b_s in forces.generate(sample)]
+        b = at_rest.with_parts(scale * b_s for b_s in forces.generate(sample))
         displacements = _displace(team, subdomains, step.solve(at_rest, b, ENOUGH).dq, unmeasured)
         at_nodes = recover_nodal_gradients(team, subdomains, [u.ravel() for u in displacements])
         for subdomain, of_subdomain, u, gradient in zip(subdomains, squares, displacements, at_nodes, strict=True):
@@ -163,19 +165,19 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
 
 
 def solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep,
-                   q: Sequence[Array]) -> list[Array]:
+                   q: Field) -> Field:
     """Estimate what regularization has added to a field; collective.
 
     Of a true field q the images of no noise tell A^-1 M q, which is off by -H q, H = A^-1 eta Kbar^T Kbar. The measured
     field, less the bias as far as it is known, stands in for the true one: N_TERMS terms of -(H + H^2 + ...) times the
     measured field. ``model`` says how far the region has turned. Returns the estimated field less the true one,
-    (n_unknowns,) of each owned subdomain, pixels.
+    pixels.
     """
-    bias = [np.zeros(s.n_unknowns) for s in subdomains]
+    nothing = Field.zero(model.team, subdomains)
+    bias = nothing
     for _ in range(N_TERMS):
-        less_bias = [q_s - bias_s for q_s, bias_s in zip(q, bias, strict=True)]
-        b = ([np.zeros(s.n_unknowns) for s in subdomains] if model.rotation is None
-             else model.rotation.compute_forces(less_bias))
+        less_bias = q - bias
+        b = nothing if model.rotation is None else q.with_parts(model.rotation.compute_forces(less_bias))
         bias = step.solve(less_bias, b).dq
     return bias
 

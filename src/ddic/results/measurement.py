@@ -25,11 +25,11 @@ from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.plane import build_tree
+from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.linear_solver import compute_cut_off_wavelength
-from ddic.problem.region_mesh import Region
+from ddic.problem.region_mesh import Region, compute_cut_off_wavelength
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.fields import write_pieces
@@ -83,9 +83,9 @@ class Measurement:
         What is known of the whole mesh.
     model, whole : ResidualModel
         Owned subdomains with their pixels; ``whole`` with all that the frame shows, also those that do not count.
-    q : list of (n_unknowns,) array
-        Unknowns of each since the reference image in use, one value for the copies of an interface unknown (Eq. 41 of
-        [BP17]).
+    q : Field
+        Unknowns since the reference image in use, one value for the copies of an interface unknown (section
+        5.3.2 of [BP17]).
     largest_jump : float
         Largest difference between copies before that, pixels.
     evaluation : Evaluation
@@ -120,7 +120,7 @@ class Measurement:
     frame: Frame
     region: Region
     model: ResidualModel
-    q: list[Array]
+    q: Field
     largest_jump: float
     evaluation: Evaluation
     size: ProblemSize
@@ -152,17 +152,14 @@ class Measurement:
     @cached_property
     def subdomains(self) -> list[Subdomain]:
         """Owned subdomains, in the first reference image."""
-        subdomains = [of_subdomain.subdomain for of_subdomain in self.model.views]
-        updated = self.inputs.updated
+        subdomains, updated = list(self.model.subdomains), self.inputs.updated
         return subdomains if updated is None else [updated.place_first(subdomain) for subdomain in subdomains]
 
     @property
-    def unknowns(self) -> list[Array]:
-        """Unknowns of each owned subdomain since the first reference image, (n_unknowns,): q, but for updates."""
+    def unknowns(self) -> Field:
+        """Unknowns since the first reference image: q, but for updates."""
         updated = self.inputs.updated
-        if updated is None:
-            return self.q
-        return [before + q_s for before, q_s in zip(updated.restrict(self.subdomains), self.q, strict=True)]
+        return self.q if updated is None else self.q + updated.restrict(self.subdomains)
 
     @property
     def displacements(self) -> list[Array]:
@@ -279,7 +276,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     if inputs.case.output.uncertainty and not failure:
         uncertainty, of_uncertainty = _estimate_uncertainty(problem, model, evaluation, field.q, unmeasured)
     notes = (*notes, *solved.notes, *_describe_correction(inputs.case, model),
-             *describe_exclusions(team, model.views, excluded), *describe_doubtful_cells(team, cell_errors),
+             *describe_exclusions(team, subdomains, excluded), *describe_doubtful_cells(team, cell_errors),
              *of_uncertainty)
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
@@ -294,7 +291,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     return measurement
 
 
-def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: list[Array],
+def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field,
                           unmeasured: list[NDArray[np.bool_]]) -> tuple[FieldUncertainty | None, tuple[str, ...]]:
     """Standard deviations, and what is said of them; a linear step that fails for them does not lose the field."""
     from ddic.results.field_uncertainty import describe_uncertainty, estimate_field_uncertainty
@@ -323,23 +320,22 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel,
     team = problem.team
     owned = list(zip(model.views, evaluation.residuals, _take_hessians(problem, model), strict=True))
     errors = find_cell_errors(team, team.together(lambda: [
-        measure_cell_residuals(of_subdomain.views[0].view, hessian, of_views[0])
-        for of_subdomain, of_views, hessian in owned]))
+        measure_cell_residuals(view, hessian, residual) for (view, *_), (residual, *_), hessian in owned]))
     lost = ""
     if model.blurs or problem.reference.inputs.case.regularization is None:
         # Where little contrast is left, the residual of a wrong place may be as small as that of the right one.
         noise = evaluation.grey[0].residual_std ** 2
         deviations = estimate_node_deviations(model, problem.solver.assembly.systems, noise, by_pixels_alone=True)
-        are_noisy = [find_noisy_cells(of_subdomain.subdomain.mesh, of_nodes)
-                     for of_subdomain, of_nodes in zip(model.views, deviations, strict=True)]
+        are_noisy = [find_noisy_cells(subdomain.mesh, of_nodes)
+                     for subdomain, of_nodes in zip(model.subdomains, deviations, strict=True)]
         errors = [replace(of_cells, doubtful=of_cells.doubtful | is_noisy)
                   for of_cells, is_noisy in zip(errors, are_noisy, strict=True)]
         if model.blurs:
             are_shown = [of_views[0].cell_sums.n_pixels > 0 for of_views in evaluation.residuals]
             lost = describe_lost_field(team, are_noisy, are_shown)
     # What is left of a cell that is mostly hidden says little of it, whatever its residual.
-    are_hidden = [of_views[0].cell_sums.n_pixels < LEAST_USED * of_subdomain.reference.own.count_pixels()
-                  for of_subdomain, of_views in zip(model.views, evaluation.residuals, strict=True)]
+    are_hidden = [residual.cell_sums.n_pixels < LEAST_USED * view.prepared.count_pixels()
+                  for (view, *_), (residual, *_) in zip(model.views, evaluation.residuals, strict=True)]
     return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
             for of_cells, is_hidden in zip(errors, are_hidden, strict=True)], lost
 
@@ -363,9 +359,8 @@ def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> l
 def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[sparse.csr_matrix]:
     """M of each owned subdomain's own camera, of the reference image as it was compared."""
     if model.blurs:
-        return problem.team.together(lambda: [of_subdomain.views[0].view.assemble_hessian()
-                                              for of_subdomain in model.views])
-    return [hessians[0] for hessians in problem.reference.hessians]
+        return problem.team.together(lambda: [own.assemble_hessian() for own, *_ in model.views])
+    return [own for own, *_ in problem.reference.hessians]
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],

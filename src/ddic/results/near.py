@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.inputs.cameras import Camera
 from ddic.kinematics.camera import CameraSetup
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.results.publishing import describe_image
@@ -64,20 +65,20 @@ def estimate_covariances(team: Team, systems: Sequence[LocalSystem], step: Linea
     """
     found = {}
     for camera, scale in sum_motion_scales(team, systems).items():
-        columns = [_solve_for_unit(systems, step, camera, k, kappa) for k, kappa in enumerate(scale)]
+        columns = [_solve_for_unit(team, systems, step, camera, k, kappa) for k, kappa in enumerate(scale)]
         products = [np.stack([x[s] for x in columns], axis=1) for s in range(len(systems))]
         total = team.ordered_sum([x.T @ (system.hessian @ x) for x, system in zip(products, systems, strict=True)])
         found[camera] = 2 * noise**2 * total
     return found
 
 
-def _solve_for_unit(systems: Sequence[LocalSystem], step: LinearStep, camera: int, k: int,
-                    kappa: float) -> list[Array]:
-    """A^-1 e of one unknown of a camera's motion, on each owned subdomain."""
+def _solve_for_unit(team: Team, systems: Sequence[LocalSystem], step: LinearStep, camera: int, k: int,
+                    kappa: float) -> Field:
+    """A^-1 e of one unknown of a camera's motion."""
     # As large as what moves the set-up by about a pixel: steps start from their last solution.
-    b = [kappa * _unit_force(system.subdomain, camera, k) for system in systems]
-    at_rest = [np.zeros_like(b_s) for b_s in b]
-    return [x / kappa for x in step.solve(at_rest, b, ENOUGH).dq]
+    at_rest = Field.zero(team, [system.subdomain for system in systems])
+    b = at_rest.map(lambda subdomain, _: kappa * _unit_force(subdomain, camera, k))
+    return step.solve(at_rest, b, ENOUGH).dq / kappa
 
 
 def _unit_force(subdomain: Subdomain, camera: int, k: int) -> Array:

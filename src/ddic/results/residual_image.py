@@ -211,10 +211,10 @@ class _SeenInBands:
 
 def _see_in_bands(measurement: Measurement, camera: int, height: int) -> list[_SeenInBands]:
     """A camera's views of owned subdomains, in bands: images of whole subdomains are as large as reference images."""
-    return [_SeenInBands(view, q, residual, view.view.correlation.split_bands(height))
-            for of_subdomain, q, residuals in zip(measurement.whole.views, measurement.q,
-                                                  measurement.evaluation.residuals, strict=True)
-            for view, residual in zip(of_subdomain.views, residuals, strict=True) if view.camera == camera]
+    views, q, residuals = measurement.whole.views, measurement.q, measurement.evaluation.residuals
+    return [_SeenInBands(view, q_s, residual, view.correlation.split_bands(height))
+            for view, q_s, residual in zip(views.flat, views.fill(q).flat, residuals.flat, strict=True)
+            if view.camera == camera]
 
 
 def _make_patches(measurement: Measurement, camera: int, seen: list[_SeenInBands]) -> Iterator[Patch]:

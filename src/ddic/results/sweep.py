@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
 from ddic.io.replace_on_exit import NewFiles, begin_files
-from ddic.plots.sweep import SweptElements
+from ddic.plots.curves import SweptElements
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""A displacement as a sum of products of functions of x and of y, Eq. (12) of [PP12].
+"""A displacement as a sum of products of functions of x and of y, Eq. (14) of [PP12].
 
 The functions are those of one-dimensional linear elements along a side of a rectangle, which know the pixels that lie
 in them. Matrices of one-dimensional problems are kept by their diagonals: entry [w + k, i] of (2 w + 1, n) couples i to

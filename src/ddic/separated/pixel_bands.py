@@ -165,7 +165,7 @@ class FramePixels:
         return self.reference.sums.add_up(found)
 
     def integrate_over_x(self, functions: Array) -> Array:
-        """Integrate Eq. (22) of [PP12] over the columns, for both components in one sweep.
+        """Integrate Eq. (19) of [PP12] over the columns, for both components in one sweep.
 
         ``functions`` (2, width) are X of both components in each column, the sums (5, height) those of f_x^2 X1^2, f_x
         f_y X1 X2, f_y^2 X2^2, r f_x X1 and r f_y X2.

@@ -49,7 +49,8 @@ class Direction:
     line, other : LineElements
         Of the functions sought, and of those given.
     integrate : callable
-        From values of the given functions at pixels (2, n_other) to the integrals of Eq. (19), (5, n_pixels).
+        From values of the given functions at pixels (2, n_other) to the five integrals in Eq. (19) of [PP12],
+        (5, n_pixels).
     operator : SeparatedOperator or None
         Regularisation, weight included, its x along ``line``.
     of_line, of_other : (n_terms, n_modes, n) array

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.errors import FactorizationError, as_collective
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import bound_lowest_eigenvalue
@@ -178,13 +179,12 @@ class AssembledStep:
             self._factorize(team.rank, smallest_eigenvalue)
             self._objects = stack.pop_all()
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s; where copies of an unknown differ in q, q + dq is one field, as of the dual step."""
-        mean = self._whole.average_copies(q)
-        self._whole.set_right_hand_side(self._right, q, b, mean)
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq; where copies of an unknown differ in q, q + dq is one field, as of the dual step."""
+        q_mean = self._whole.average_copies(q)
+        self._whole.set_right_hand_side(self._right, q, b, q_mean)
         self._ksp.solve(self._right, self._left)
-        return StepResult(self._whole.find_corrections(self._left, q, mean), 0, np.zeros(0), 0.0)
+        return StepResult(self._whole.find_correction(self._left, q, q_mean))
 
     def forget(self) -> None:
         """Do nothing: no step teaches another."""
@@ -223,7 +223,7 @@ class AssembledStep:
 
 
 def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
-    """Assemble A of Eq. 11: rows of Kbar are complete before they are squared."""
+    """Assemble A of Eq. 11 of [BP17]: rows of Kbar are complete before they are squared."""
     rows = ParallelEntries(team, whole.n_owned, whole.n_owned)
     entries = ParallelEntries(team, whole.n_owned, whole.n_owned)
     for system, of_system, numbers in zip(whole.systems, whole.rows, whole.numbers, strict=True):

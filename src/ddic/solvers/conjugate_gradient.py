@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.errors import ConvergenceError, as_collective
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.solvers.correction_size import measure_unit_size
 from ddic.solvers.linear_step import AllowedError, StepResult
@@ -50,7 +50,7 @@ class ConjugateGradientStep:
             self._whole = stack.keep(WholeSystem(team, systems))
             size = (self._whole.n_owned, PETSc.DETERMINE)
             self._matrix = stack.keep(PETSc.Mat())
-            self._matrix.createPython((size, size), _Product(self._whole), comm=team.comm)
+            self._matrix.createPython((size, size), self._whole, comm=team.comm)
             self._matrix.setOption(PETSc.Mat.Option.SPD, True)
             self._matrix.setUp()
             self._left = stack.keep(self._whole.create_vector())
@@ -62,15 +62,14 @@ class ConjugateGradientStep:
             self._objects = stack.pop_all()
         self.forget()
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s, with an estimate of its error; where copies of an unknown differ in q, q + dq is one field.
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq, with an estimate of its error; where copies of an unknown differ in q, q + dq is one field.
 
         The last solution is taken up again where that helps, as it does when one step is asked for more exactly. Raises
         ConvergenceError on all ranks, where ``max_iterations`` are not enough.
         """
-        mean = self._whole.average_copies(q)
-        self._whole.set_right_hand_side(self._right, q, b, mean)
+        q_mean = self._whole.average_copies(q)
+        self._whole.set_right_hand_side(self._right, q, b, q_mean)
         size = self._preconditioned_norm(self._right)
         begun = self._preconditioned_norm(self._residual_of_last())
         if not begun < size:
@@ -88,8 +87,8 @@ class ConjugateGradientStep:
                 'them, or nothing holds a part of the region; use solver.method = "dual", or raise '
                 "solver.max_iterations"))
         history = np.array(self._ksp.getConvergenceHistory()) / (size or 1.0)
-        return StepResult(self._whole.find_corrections(self._left, q, mean), iterations, history,
-                          self._estimate_error(norm))
+        dq = self._whole.find_correction(self._left, q, q_mean)
+        return StepResult(dq, iterations, history, self._estimate_error(norm))
 
     def forget(self) -> None:
         """Forget the last solution, and the bounds of the eigenvalues that earlier steps found."""
@@ -149,23 +148,3 @@ class ConjugateGradientStep:
             return int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL) if self._estimate_error(norm) <= error else 0
 
         return test
-
-
-class _Product:
-    """Context of the shell matrix A."""
-
-    def __init__(self, whole: WholeSystem) -> None:
-        self._whole = whole
-
-    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """PETSc's callback for y = A x."""
-        exchange = self._whole.exchange
-        exchange.add_to_owners(self._whole.apply(exchange.fetch_ghosts(x)), y)
-
-    def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
-        """PETSc's callback for D; rows of Kbar on interfaces are squared one by one, for it only preconditions."""
-        whole = self._whole
-        parts = []
-        for system, rows in zip(whole.systems, whole.rows, strict=True):
-            parts.append(system.hessian.diagonal() + system.eta * rows.sum_squares())
-        whole.exchange.add_to_owners(whole.add_up(parts), diagonal)

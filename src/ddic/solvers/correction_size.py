@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 
@@ -100,21 +101,27 @@ class CorrectionSize:
         return line + f"gauss_newton.largest_tolerance x the node's standard deviation / {KNOWN_PX} px"
 
 
-def measure_correction(team: Team, subdomains: Sequence[Subdomain], dq: Sequence[Array], q: Sequence[Array],
-                       weights: Sequence[Array] | None = None, largest: float = np.inf) -> CorrectionSize:
+def measure_correction(dq: Field, q: Field, weights: Sequence[Array] | None = None,
+                       largest: float = np.inf) -> CorrectionSize:
     """Measure a correction on displacements of nodes in the specimen's frame, every node counted once; collective.
 
     ``dq`` is the correction and ``q`` the unknowns before it, ``weights`` are those of the nodes' corrections
-    (``weigh_nodes``), (n_nodes,), no unit, 1 by default, all of each owned subdomain; from the weighted correction
+    (``weigh_nodes``), (n_nodes,) of each owned subdomain, no unit, 1 by default; from the weighted correction
     ``largest``, pixels, on a node is slow.
     """
+    after = (q + dq).displacements
+    changes = _measure_ways(q.subdomains, q.displacements, after)
     if weights is None:
-        weights = [np.ones(subdomain.mesh.n_nodes) for subdomain in subdomains]
-    measured = [_measure_nodes(subdomain, (dq_s, q_s), of_nodes, largest)
-                for subdomain, dq_s, q_s, of_nodes in zip(subdomains, dq, q, weights, strict=True)]
-    of_correction, known, n_slow, *of_field = team.ordered_sum([sums for sums, _ in measured])
-    most_by_subdomain = [(most, s.index) for (_, most), s in zip(measured, subdomains, strict=True)]
-    most, subdomain = max(team.gather_lists(most_by_subdomain))
+        weights = [np.ones(len(of_nodes)) for of_nodes in changes]
+    sums = []
+    for s, change, of_nodes, u in zip(q.subdomains, changes, weights, after, strict=True):
+        known = of_nodes * change
+        share = 1.0 / s.node_multiplicity
+        of_change = [change**2 @ share, known**2 @ share, share[known > largest].sum()]
+        sums.append(np.array([*of_change, *_sum_moments(s, u)]))
+    of_correction, known_squares, n_slow, *of_field = q.team.ordered_sum(sums)
+    most_by_subdomain = [(float(change.max()), s.index) for change, s in zip(changes, q.subdomains, strict=True)]
+    most, subdomain = max(q.team.gather_lists(most_by_subdomain))
     n_nodes = of_field[0]
     if not np.isfinite([of_correction, *of_field]).all():
         return CorrectionSize(np.inf, np.inf, np.inf, subdomain, np.inf, round(n_nodes))
@@ -125,7 +132,7 @@ def measure_correction(team: Team, subdomains: Sequence[Subdomain], dq: Sequence
         relative = 0.0 if of_correction == 0 else np.inf
     # Sums of copies' shares may miss whole numbers by rounding.
     return CorrectionSize(relative, float(np.sqrt(of_correction / n_nodes)), most, subdomain,
-                          float(np.sqrt(known / n_nodes)), round(n_slow))
+                          float(np.sqrt(known_squares / n_nodes)), round(n_slow))
 
 
 def weigh_nodes(deviations: Sequence[Array]) -> list[Array]:
@@ -133,35 +140,29 @@ def weigh_nodes(deviations: Sequence[Array]) -> list[Array]:
     return [KNOWN_PX / np.maximum(KNOWN_PX, of_nodes) for of_nodes in deviations]
 
 
-def measure_node_corrections(subdomain: Subdomain, dq: Array, q: Array) -> Array:
-    """Measure by how much a correction moves each node, (n_nodes,), pixels."""
-    return _measure_ways(subdomain, subdomain.displacement(q), subdomain.displacement(q + dq))
+def measure_node_corrections(dq: Field, q: Field) -> list[Array]:
+    """Measure by how much a correction of q moves each node of each subdomain, (n_nodes,), pixels."""
+    return _measure_ways(q.subdomains, q.displacements, (q + dq).displacements)
 
 
-def _measure_ways(subdomain: Subdomain, before: Array, after: Array) -> Array:
-    """How far each node moves between two displacements, (n_nodes,), pixels."""
-    return np.asarray(np.linalg.norm((after - before).reshape(subdomain.mesh.nodes.shape), axis=1))
+def _measure_ways(subdomains: Sequence[Subdomain], before: Sequence[Array], after: Sequence[Array]) -> list[Array]:
+    """How far each node of each subdomain moves between two displacements, (n_nodes,), pixels."""
+    return [np.asarray(np.linalg.norm((u_after - u_before).reshape(subdomain.mesh.nodes.shape), axis=1))
+            for subdomain, u_before, u_after in zip(subdomains, before, after, strict=True)]
 
 
-def _measure_nodes(subdomain: Subdomain, correction: tuple[Array, Array], weights: Array,
-                   largest: float) -> tuple[Array, float]:
-    """A subdomain's share of sums over nodes, (16,), and its largest |du| at a node.
+def _sum_moments(subdomain: Subdomain, displacement: Array) -> Array:
+    """A subdomain's share of the moments of its nodes' places x and displacements u, pixels, (13,).
 
-    |du|^2, the same weighted, and slow nodes; then the moments of u + du.
+    They are 1, x, u, x x, u x and |u|^2.
     """
-    dq, q = correction
     share = 1.0 / subdomain.node_multiplicity
     nodes = subdomain.mesh.nodes
-    after = subdomain.displacement(q + dq)
-    change = _measure_ways(subdomain, subdomain.displacement(q), after)
-    known = weights * change
-    after = after.reshape(nodes.shape)
-    weighted = after * share[:, None]
-    moments = [share.sum(), *(share @ nodes), *weighted.sum(axis=0),
-               *((nodes * share[:, None]).T @ nodes).take((0, 1, 3)), *(weighted.T @ nodes).ravel(),
-               (weighted * after).sum()]
-    sums = [change**2 @ share, known**2 @ share, share[known > largest].sum()]
-    return np.array([*sums, *moments]), float(change.max())
+    u = displacement.reshape(nodes.shape)
+    weighted = u * share[:, None]
+    xx = ((nodes * share[:, None]).T @ nodes).take((0, 1, 3))
+    return np.array([share.sum(), *(share @ nodes), *weighted.sum(axis=0), *xx, *(weighted.T @ nodes).ravel(),
+                     (weighted * u).sum()])
 
 
 def _remove_affine_part(moments: Array) -> float:
@@ -176,21 +177,6 @@ def _remove_affine_part(moments: Array) -> float:
     is_wide = variances > LEAST_SPREAD * variances.max()
     explained = ((together @ axes[:, is_wide])**2 / variances[is_wide]).sum()
     return float(max(squares - explained, 0.0))
-
-
-def measure_rms(team: Team, subdomains: Sequence[Subdomain], unknowns: Sequence[NDArray[np.float64]]) -> float:
-    """Measure the RMS displacement over nodes, every node counted once; collective.
-
-    From unknowns of each owned subdomain, (n_unknowns,) or (n_field,), pixels, comes sqrt(mean of |u|^2 over nodes),
-    pixels, the same on all ranks to the last bit however subdomains are spread.
-    """
-    sums = []
-    for subdomain, q_s in zip(subdomains, unknowns, strict=True):
-        u = subdomain.displacement(q_s).reshape(subdomain.mesh.nodes.shape)
-        shares = 1.0 / subdomain.node_multiplicity
-        sums.append(np.array([(u**2 * shares[:, None]).sum(), shares.sum()]))
-    total, n_nodes = team.ordered_sum(sums)
-    return float(np.sqrt(total / n_nodes))
 
 
 def measure_unit_size(team: Team, subdomains: Sequence[Subdomain]) -> float:

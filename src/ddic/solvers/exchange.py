@@ -1,14 +1,20 @@
-"""Who owns which number, and the neighbour exchange of values."""
+"""Who owns which number, and the neighbour exchange of values.
+
+From the copies of an interface unknown comes one value, section 5.3.2 of [BP17].
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
+from ddic.partition.subdomain import Interface, Subdomain, copies_of
 from ddic.solvers.petsc import PetscStack, check_petsc_size, to_petsc_integers
 
 
@@ -77,3 +83,68 @@ class Exchange:
             owned = stack.keep(self.create_vector())
             self.add_to_owners(ghosts, owned)
             return self.fetch_ghosts(owned)
+
+
+def fetch_copies(team: Team, subdomains: Sequence[Subdomain], values: Sequence[tuple[Interface, NDArray[np.float64]]],
+                 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Fetch what all subdomains have at the copies of chains that owned subdomains take part in; collective.
+
+    ``values`` are owned subdomains' interfaces, each with what it has at its unknowns. Returns the copies' numbers,
+    sorted, and their values, both (n,).
+    """
+    with PetscStack() as stack:
+        n_owned = sum(subdomain.n_owned_copies for subdomain in subdomains)
+        exchange = stack.keep(Exchange(team, n_owned, [copies_of(interface) for interface, _ in values]))
+        mine = np.zeros(len(exchange.ghosts))
+        for interface, of_unknowns in values:
+            own_copies = interface.first_copy + interface.position
+            mine[np.searchsorted(exchange.ghosts, own_copies)] = of_unknowns
+        return exchange.ghosts, exchange.sum_over_ranks(mine)
+
+
+@dataclass(frozen=True)
+class ContinuousField:
+    """Unknowns with interface copies averaged, and the largest jump before that.
+
+    Attributes
+    ----------
+    q : Field
+        The unknowns, pixels.
+    largest_jump : float
+        Largest difference that the copies of an unknown make in a node's displacement, pixels.
+    """
+
+    q: Field
+    largest_jump: float
+
+
+def average_copies(q: Field) -> ContinuousField:
+    """Average the copies of every interface unknown, pixels, section 5.3.2 of [BP17]; collective.
+
+    The averages are equal, to the last bit, on all subdomains that share an unknown.
+    """
+    own = [(s.jumps, q_s[s.jumps.unknowns]) for s, q_s in zip(q.subdomains, q, strict=True)]
+    numbers, copies = fetch_copies(q.team, q.subdomains, own)
+    parts = []
+    largest = 0.0
+    for subdomain, q_s in zip(q.subdomains, q, strict=True):
+        interface = subdomain.jumps
+        mean, spread = _mean_and_spread(interface, numbers, copies)
+        averaged = np.array(q_s)
+        averaged[interface.unknowns] = mean
+        parts.append(averaged)
+        # By how many pixels an unknown of size one displaces the node that it displaces most.
+        reach = np.asarray(abs(subdomain.kinematics.tangent).max(axis=0).todense()).ravel()
+        largest = max(largest, float((spread * reach[interface.unknowns]).max(initial=0.0)))
+    return ContinuousField(q.with_parts(parts), q.team.maximum(largest))
+
+
+def _mean_and_spread(interface: Interface, numbers: NDArray[np.int64],
+                     copies: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean, and largest less smallest, of the copies of each of a subdomain's interface unknowns."""
+    values = copies[np.searchsorted(numbers, copies_of(interface))]
+    if len(values) == 0:
+        return values, values
+    first = np.cumsum(interface.multiplicity) - interface.multiplicity
+    mean = np.add.reduceat(values, first) / interface.multiplicity
+    return mean, np.maximum.reduceat(values, first) - np.minimum.reduceat(values, first)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.grey_statistics import GreyState
+from ddic.parallel.field import Field, multiply_fields
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
@@ -38,48 +39,39 @@ class AndersonMixing:
 
     Parameters
     ----------
-    team : Team
-        All ranks.
     weights : sequence of (n_unknowns,) array
         Of the squared unknowns of each owned subdomain in the norm; copies of an unknown share its weight.
     """
 
-    def __init__(self, team: Team, weights: Sequence[Array]) -> None:
-        self._team, self._weights = team, weights
-        self._last: tuple[list[Array], list[Array]] | None = None
-        # (change of q, change of dq) between successive iterations, the oldest first.
-        self._changes: list[tuple[list[Array], list[Array]]] = []
-        self._last_norm = np.inf
+    def __init__(self, weights: Sequence[Array]) -> None:
+        self._weights = weights
+        self.forget()
 
     def forget(self) -> None:
         """Forget all corrections: what comes belongs to other equations."""
-        self._last, self._changes, self._last_norm = None, [], np.inf
+        self._last: tuple[Field, Field] | None = None
+        # (change of q, change of dq) between successive iterations, the oldest first.
+        self._changes: list[tuple[Field, Field]] = []
+        self._last_norm = np.inf
 
-    def advance(self, q: Sequence[Array], dq: Sequence[Array]) -> list[Array]:
+    def advance(self, q: Field, dq: Field) -> Field:
         """Return the next unknowns; collective."""
         if self._last is not None:
-            before, dq_before = self._last
-            self._changes.append(([a - b for a, b in zip(q, before, strict=True)],
-                                  [a - b for a, b in zip(dq, dq_before, strict=True)]))
+            q_before, dq_before = self._last
+            self._changes.append((q - q_before, dq - dq_before))
             del self._changes[:-DEPTH]
-        self._last = [np.array(q_s) for q_s in q], [np.array(dq_s) for dq_s in dq]
-        products = self._team.ordered_sum([self._multiply(place, dq_s).ravel() for place, dq_s in enumerate(dq)])
-        gram = products.reshape(len(self._changes) + 1, -1)
+        self._last = q, dq
+        gram = multiply_fields([*(ddq for _, ddq in self._changes), dq], self._weights)
         norm = float(np.sqrt(gram[-1, -1]))
         if norm > self._last_norm:
             # What was learnt comes from another part of the way: a plain step finds back.
             self._changes = []
         self._last_norm = norm
         gamma = np.zeros(0) if not self._changes else _solve(gram[:-1, :-1], gram[:-1, -1])
-        mixed = [q_s + dq_s for q_s, dq_s in zip(q, dq, strict=True)]
+        mixed = q + dq
         for share, (of_q, of_dq) in zip(gamma, self._changes, strict=True):
-            mixed = [mixed_s - share * (a + b) for mixed_s, a, b in zip(mixed, of_q, of_dq, strict=True)]
+            mixed = mixed - share * (of_q + of_dq)
         return mixed
-
-    def _multiply(self, place: int, dq: Array) -> Array:
-        """Products of a subdomain's changes of dq, and of dq itself, with each other, (n + 1, n + 1)."""
-        vectors = np.array([*(of_dq[place] for _, of_dq in self._changes), dq])
-        return np.asarray((vectors * self._weights[place]) @ vectors.T)
 
 
 def _solve(gram: Array, right: Array) -> Array:
@@ -117,15 +109,11 @@ class Model(Protocol):
         """All ranks."""
         ...
 
-    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
-        """Pass over all pixels; collective.
-
-        From the unknowns of each owned subdomain come its b_s, (n_unknowns,), grey levels squared per pixel, and the
-        grey statistics of each camera.
-        """
+    def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
+        """Pass over all pixels for b, grey levels squared per pixel, and each camera's statistics; collective."""
         ...
 
-    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
+    def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction dq, of the unknowns q before it, on displacements of nodes; collective."""
         ...
 
@@ -177,17 +165,17 @@ class Correction:
 
     Attributes
     ----------
-    q, b, dq : list of (n_unknowns,) array
-        Unknowns before it, b there, and the correction itself, of each owned subdomain.
+    q, b, dq : Field
+        Unknowns before it, b there, and the correction itself.
     grey : tuple of GreyState
         Statistics of each camera before it.
     size : CorrectionSize
         How large it is.
     """
 
-    q: list[Array]
-    b: list[Array]
-    dq: list[Array]
+    q: Field
+    b: Field
+    dq: Field
     grey: tuple[GreyState, ...]
     size: CorrectionSize
 
@@ -196,23 +184,8 @@ Pause = Callable[[Correction], bool]
 """Asked, on all ranks, whether to pause after a correction that is not small enough yet."""
 
 
-@dataclass(frozen=True)
-class Course:
-    """How iterations go on.
-
-    Attributes
-    ----------
-    pause : callable, optional
-        Asked after every correction whether to pause there; never, by default.
-    mixing : AndersonMixing, optional
-        Makes the next unknowns from several corrections; by default the last one alone does.
-    """
-
-    pause: Pause | None = None
-    mixing: AndersonMixing | None = None
-
-
-STRAIGHT_ON = Course()
+def stay_silent(record: IterationRecord) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +197,7 @@ class Progress:
     clock : PhaseClock
         Of the phases "residual" and "linear step".
     report : callable
-        Told of every iteration.
+        Told of every iteration; by default nobody is.
     n_before : int
         Iterations of the same frame before these.
     is_local : bool
@@ -232,13 +205,9 @@ class Progress:
     """
 
     clock: PhaseClock
-    report: Report
+    report: Report = stay_silent
     n_before: int = 0
     is_local: bool = False
-
-
-def stay_silent(record: IterationRecord) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -247,8 +216,8 @@ class Solution:
 
     Attributes
     ----------
-    q : list of (n_unknowns,) array
-        Unknowns of each owned subdomain.
+    q : Field
+        Unknowns.
     records : list of IterationRecord
         How they came about.
     stop : str
@@ -259,20 +228,19 @@ class Solution:
         The last correction, where a pause was asked for after it; None otherwise.
     """
 
-    q: list[Array]
+    q: Field
     records: list[IterationRecord]
     stop: str = ""
     converged: bool = True
     paused: Correction | None = None
 
 
-def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances,
-                 progress: Progress) -> Solution:
-    """Iterate q <- q + dq until the correction is small.
+def gauss_newton(model: Model, q: Field, step: LinearStep, tolerances: Tolerances, progress: Progress) -> Solution:
+    """Iterate q <- q + dq from a start until the correction is small.
 
-    The model gives b from the images, the step solves Eq. 11 of [BP17] for dq, and ``q`` is the start of each owned
-    subdomain. Raises ConvergenceError on all ranks, where the correction does not become small or is not finite, and
-    StoppedError on all ranks, where a signal asked one of them to stop; both with the last Solution.
+    The model gives b from the images, the step solves Eq. 11 of [BP17] for dq. Raises ConvergenceError on all ranks,
+    where the correction does not become small or is not finite, and StoppedError on all ranks, where a signal asked one
+    of them to stop; both with the last Solution.
     """
     solution = run_gauss_newton(model, q, step, tolerances, progress)
     if not solution.converged:
@@ -280,51 +248,42 @@ def gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances:
     return solution
 
 
-def run_gauss_newton(model: Model, q: Sequence[Array], step: LinearStep, tolerances: Tolerances, progress: Progress,
-                     course: Course = STRAIGHT_ON) -> Solution:
+def run_gauss_newton(model: Model, q: Field, step: LinearStep, tolerances: Tolerances, progress: Progress,
+                     pause: Pause | None = None, mixing: AndersonMixing | None = None) -> Solution:
     """Iterate q <- q + dq until the correction is small, or does not become smaller, with steps of Eq. 11 of [BP17].
 
-    As ``gauss_newton``, but the Solution may be converged, paused or neither; ``course`` says how to go on. Raises
-    ConvergenceError on all ranks, where the correction is not finite or the linear step fails, and StoppedError on all
-    ranks, where a signal asked one of them to stop; both with the last Solution.
+    As ``gauss_newton``, but the Solution may be converged, paused or neither. ``pause`` is asked after every correction
+    whether to pause there; ``mixing`` makes the next unknowns from several corrections, else the last one alone does.
+    Raises ConvergenceError on all ranks, where the correction is not finite or the linear step fails, and StoppedError
+    on all ranks, where a signal asked one of them to stop; both with the last Solution.
     """
-    found = Solution([np.array(q_s) for q_s in q], [])
-    try:
-        return _iterate(model, found, step, tolerances, progress, course)
-    except ConvergenceError as error:
-        error.last = found
-        raise
-
-
-def _iterate(model: Model, found: Solution, step: LinearStep, tolerances: Tolerances, progress: Progress,
-             course: Course) -> Solution:
-    """Iterate from what was found, which holds the last finite unknowns and all iterations at any time."""
-    current, records = found.q, found.records
+    records: list[IterationRecord] = []
     clock = progress.clock
-    for number in range(1, tolerances.max_iterations + 1):
-        with clock.phase(Phase.RESIDUAL):
-            b, grey = model.linearize(current)
-        with clock.phase(Phase.LINEAR_STEP):
-            last_rms = records[-1].size.rms if records else None
-            result, size = _solve_as_far_as_it_pays(model, step, (current, b), tolerances, last_rms)
-        records.append(IterationRecord(progress.n_before + number, size, grey, result.krylov_iterations,
-                                       result.krylov_history, result.error, dict(clock.wall),
-                                       progress.is_local))
-        progress.report(records[-1])
-        is_small = model.team.on_root(partial(_decide, size, tolerances))
-        correction = Correction(list(current), b, result.dq, grey, size)
-        if course.mixing is None or is_small:
-            current[:] = [q_s + dq for q_s, dq in zip(current, result.dq, strict=True)]
-        else:
-            current[:] = course.mixing.advance(current, result.dq)
-        if is_small:
-            return Solution(current, records, size.describe_stop(tolerances))
-        stop_if_asked(model.team, f"after iteration {records[-1].number}, before it converged")
-        if course.pause is not None and course.pause(correction):
-            return Solution(current, records, _not_converged(records, tolerances), converged=False, paused=correction)
-        if model.team.on_root(partial(_stagnates, records)):
-            break
-    return Solution(current, records, _not_converged(records, tolerances), converged=False)
+    try:
+        for number in range(progress.n_before + 1, progress.n_before + tolerances.max_iterations + 1):
+            with clock.phase(Phase.RESIDUAL):
+                b, grey = model.linearize(q)
+            with clock.phase(Phase.LINEAR_STEP):
+                last_rms = records[-1].size.rms if records else None
+                solved, size = _solve_as_far_as_it_pays(model, step, q, b, tolerances, last_rms)
+            records.append(IterationRecord(number, size, grey, solved.krylov_iterations, solved.krylov_history,
+                                           solved.error, dict(clock.wall), progress.is_local))
+            progress.report(records[-1])
+            is_small = model.team.on_root(partial(_decide, size, tolerances))
+            correction = Correction(q, b, solved.dq, grey, size)
+            if is_small:
+                return Solution(q + solved.dq, records, size.describe_stop(tolerances))
+            q = q + solved.dq if mixing is None else mixing.advance(q, solved.dq)
+            stop_if_asked(model.team, f"after iteration {number}, before it converged")
+            if pause is not None and pause(correction):
+                stop = _not_converged(records, tolerances)
+                return Solution(q, records, stop, converged=False, paused=correction)
+            if model.team.on_root(partial(_stagnates, records)):
+                break
+    except ConvergenceError as error:
+        error.last = Solution(q, records)
+        raise
+    return Solution(q, records, _not_converged(records, tolerances), converged=False)
 
 
 def _stagnates(records: Sequence[IterationRecord]) -> bool:
@@ -335,17 +294,15 @@ def _stagnates(records: Sequence[IterationRecord]) -> bool:
     return min(sizes[-PATIENCE:]) > STAGNATION * min(sizes[:-PATIENCE])
 
 
-def _solve_as_far_as_it_pays(model: Model, step: LinearStep, system: tuple[Sequence[Array], Sequence[Array]],
-                             tolerances: Tolerances, last_rms: float | None) -> tuple[StepResult, CorrectionSize]:
-    """Solve for dq, system = (q, b), to a share of dq that is known only afterwards: guess, then tighten."""
-    q, b = system
-    at_last = LAST_SHARE * tolerances.rms
+def _solve_as_far_as_it_pays(model: Model, step: LinearStep, q: Field, b: Field, tolerances: Tolerances,
+                             last_rms: float | None) -> tuple[StepResult, CorrectionSize]:
+    """Solve for dq to a share of dq that is known only afterwards: guess, then tighten."""
     if not tolerances.inexact:
-        result = step.solve(q, b, None)
+        result = step.solve(q, b)
         return result, model.measure_correction(result.dq, q, tolerances)
-    if last_rms is None:
-        guess = AllowedError(at_last, SHARE)
-    else:
+    at_last = LAST_SHARE * tolerances.rms
+    guess = AllowedError(at_last, SHARE)
+    if last_rms is not None:
         guess = AllowedError(max(at_last, SHARE * GAIN * last_rms))
     result = step.solve(q, b, guess)
     size = model.measure_correction(result.dq, q, tolerances)

@@ -5,14 +5,15 @@ A linear step that another one takes the place of, once it does not converge.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError, is_collective
+from ddic.parallel.field import Field
 
 
 @dataclass(frozen=True)
@@ -37,42 +38,41 @@ class StepResult:
 
     Attributes
     ----------
-    dq : list of (n_unknowns,) arrays
-        Correction of each owned subdomain, pixels.
+    dq : Field
+        Correction, pixels.
     krylov_iterations : int
-        Iterations of the Krylov solver.
+        Iterations of the Krylov solver; 0 if direct.
     krylov_history : (n,) array
         Its residuals relative to its right-hand side; empty if direct.
     error : float
         Estimated RMS error of dq that the linear solver left, pixels; 0 if direct, nan if it cannot tell.
     """
 
-    dq: list[NDArray[np.float64]]
-    krylov_iterations: int
-    krylov_history: NDArray[np.float64]
-    error: float
+    dq: Field
+    krylov_iterations: int = 0
+    krylov_history: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    error: float = 0.0
 
 
 class LinearStep(Protocol):
     """Solves (M + eta Kbar^T Kbar) dq = b - eta Kbar^T Kbar q, Eq. 11 of [BP17], in its own way."""
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        """Solve for the correction dq_s of this rank's subdomains; collective.
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for the correction dq; collective.
 
         Parameters
         ----------
-        q : sequence of (n_unknowns,) arrays
-            Unknowns q_s of each owned subdomain, pixels.
-        b : sequence of (n_unknowns,) arrays
-            Its b_s, grey levels squared per pixel.
+        q : Field
+            Unknowns, pixels; the copies of one may differ.
+        b : Field
+            Forces on them, grey levels squared per pixel; the copies of an unknown have a share each.
         allowed : AllowedError, optional
             Error that may be left, never less than the step's own tolerance allows; None: that tolerance.
 
         Returns
         -------
         StepResult
-            With dq_s by which q_s + dq_s is one field.
+            With dq by which q + dq is one field: without jumps.
 
         Raises
         ------
@@ -105,16 +105,15 @@ class GuardedStep:
         self._step: LinearStep | None = first
         self._build_other: Callable[[ConvergenceError], LinearStep] | None = build_other
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s; collective.
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq; collective.
 
         Parameters
         ----------
-        q : sequence of (n_unknowns,) arrays
-            q_s of each owned subdomain, pixels.
-        b : sequence of (n_unknowns,) arrays
-            Its b_s, grey levels squared per pixel.
+        q : Field
+            Unknowns, pixels.
+        b : Field
+            Forces on them, grey levels squared per pixel.
         allowed : AllowedError, optional
             Error that may be left; None: what the tolerance allows.
 

@@ -5,7 +5,6 @@ Also the linear step on the whole mesh by one sparse Cholesky: the oracle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.functionals.scale_rows import scale_rows
+from ddic.parallel.field import Field
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import LocalOperator
@@ -48,7 +48,7 @@ class LocalSystem:
 
     @cached_property
     def controlled_stiffness(self) -> sparse.csr_matrix | None:
-        """Kbar_s = P diag(w) T^T K T, (n_field, n_unknowns); None without regularization."""
+        """Kbar_s = P diag(w) T^T K T, Eq. 9 of [BP17], (n_field, n_unknowns); None without regularization."""
         if self.stiffness is None or self.projection is None:
             return self.stiffness
         return scale_rows(self.stiffness, self.projection)
@@ -60,7 +60,7 @@ class LocalSystem:
 
     @property
     def operator(self) -> sparse.csr_matrix:
-        """A_s = M_s + eta Kbar_s^T Kbar_s, (n_unknowns, n_unknowns)."""
+        """A_s = M_s + eta Kbar_s^T Kbar_s, Eq. 32 of [BP17], (n_unknowns, n_unknowns)."""
         if self.controlled_stiffness is None:
             return self.hessian
         kbar = self.controlled_stiffness
@@ -119,11 +119,10 @@ class MonolithicStep:
         self._system = system
         self.operator = operator
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
         """Solve for the only subdomain's dq; the step is direct: without an error, whatever is ``allowed``."""
         dq = self.operator.solve(self._system.right_hand_side(b[0], q[0]))
-        return StepResult([dq], 0, np.zeros(0), 0.0)
+        return StepResult(q.with_parts([dq]))
 
     def forget(self) -> None:
         """Do nothing: no step teaches another."""

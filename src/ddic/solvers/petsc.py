@@ -146,38 +146,33 @@ INVERSE = "inverse_"
 ASSEMBLED = "assembled_"
 CONJUGATE_GRADIENT = "cg_"
 
+_FACTOR = {"ksp_type": "preonly", "pc_type": "cholesky"}
+_FACTOR_BY_MUMPS = {**_FACTOR, PACKAGE: "mumps"}
+"""What all that is factorised begins with, and what MUMPS factorises unless the user says otherwise."""
+
 DEFAULTS: dict[str, dict[str, str]] = {
     LOCAL: {
-        "ksp_type": "preonly",
-        "pc_type": "cholesky",
+        **_FACTOR,
         "mat_cholmod_print": "0",
         # Operations an entry of the factor from which on it is made by dense blocks: below, of subdomains of some
         # hundred unknowns, these take longer (at 40, CHOLMOD's own, by a half); beyond, entry by entry takes longer.
         "mat_cholmod_supernodal_switch": "100",
     },
     COARSE: {
-        "ksp_type": "preonly",
+        **_FACTOR_BY_MUMPS,
         "ksp_error_if_not_converged": "true",
-        "pc_type": "cholesky",
-        "pc_factor_mat_solver_type": "mumps",
         # Room beyond MUMPS's estimate, in per cent: nearly dependent coarse vectors delay pivots.
         "mat_mumps_icntl_14": "100",
     },
     INVERSE: {
-        "ksp_type": "preonly",
+        **_FACTOR_BY_MUMPS,
         "ksp_error_if_not_converged": "true",
-        "pc_type": "cholesky",
-        "pc_factor_mat_solver_type": "mumps",
         # Room beyond MUMPS's estimate, in per cent: the zeros of D_s delay pivots, of small matrices most.
         "mat_mumps_icntl_14": "200",
         # Null pivots are counted: the inertia tells a singular interface problem.
         "mat_mumps_icntl_24": "1",
     },
-    ASSEMBLED: {
-        "ksp_type": "preonly",
-        "pc_type": "cholesky",
-        "pc_factor_mat_solver_type": "mumps",
-    },
+    ASSEMBLED: _FACTOR_BY_MUMPS,
     CONJUGATE_GRADIENT: {
         "ksp_type": "cg",
         "ksp_norm_type": "preconditioned",

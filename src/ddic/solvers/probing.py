@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import hadamard
 
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import AllowedError, LinearStep
@@ -35,20 +36,28 @@ def estimate_degrees_of_freedom(team: Team, systems: Sequence[LocalSystem], step
     regularization, fewer where mechanics rule some of them. Raises ConvergenceError on all ranks, where a linear step
     with A does not converge.
     """
-    at_rest = [np.zeros(system.subdomain.n_unknowns) for system in systems]
-    # Solutions of about a pixel, by which steps judge how exact they are.
-    (scale,) = team.ordered_sum([np.array([system.hessian.diagonal().max(initial=0.0)]) for system in systems])
+    at_rest = Field.zero(team, [system.subdomain for system in systems])
+    scale = _find_scale(team, systems)
     n_unknowns = team.maximum(max(int(system.subdomain.numbers.max(initial=-1)) for system in systems)) + 1
     traces = []
     for probe in range(N_PROBES):
         signs = _draw_signs(n_unknowns, probe)
-        own = [signs[system.subdomain.numbers] for system in systems]
-        b = [scale * z / system.subdomain.all_multiplicity for z, system in zip(own, systems, strict=True)]
-        y = [y_s / scale for y_s in step.solve(at_rest, b, _ENOUGH_FOR_TRACE).dq]
-        (trace,) = team.ordered_sum([np.array([z @ (system.hessian @ y_s)])
-                                     for z, y_s, system in zip(own, y, systems, strict=True)])
-        traces.append(float(trace))
+        z = at_rest.with_parts(signs[subdomain.numbers] for subdomain in at_rest.subdomains)
+        b = z.map(lambda subdomain, z_s: scale * z_s / subdomain.all_multiplicity)
+        y = step.solve(at_rest, b, _ENOUGH_FOR_TRACE).dq / scale
+        traces.append(z.multiply(_multiply_by_hessians(systems, y)))
     return float(np.mean(traces))
+
+
+def _find_scale(team: Team, systems: Sequence[LocalSystem]) -> float:
+    """What makes solutions about a pixel: steps judge by that how exact they are, and start from their last one."""
+    (scale,) = team.ordered_sum([np.array([system.hessian.diagonal().max(initial=0.0)]) for system in systems])
+    return float(scale)
+
+
+def _multiply_by_hessians(systems: Sequence[LocalSystem], y: Field) -> Field:
+    """M_s y_s."""
+    return y.with_parts(system.hessian @ y_s for system, y_s in zip(systems, y, strict=True))
 
 
 def _draw_signs(n: int, probe: int) -> NDArray[np.float64]:
@@ -122,26 +131,26 @@ def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearSt
     counted once; with several cameras the noise is that of the first one. Raises ConvergenceError on all ranks, where a
     linear step with A does not converge.
     """
-    at_rest = [np.zeros(system.subdomain.n_unknowns) for system in systems]
-    chosen = [np.ones(system.subdomain.mesh.n_nodes) for system in systems]
+    subdomains = [system.subdomain for system in systems]
+    at_rest = Field.zero(team, subdomains)
+    chosen = [np.ones(subdomain.mesh.n_nodes) for subdomain in subdomains]
     if counted is not None:
         chosen = [of_nodes.astype(np.float64) for of_nodes in counted]
     # Of nodes, a share in each subdomain that has them.
-    shares = [of_nodes / system.subdomain.node_multiplicity for system, of_nodes in zip(systems, chosen, strict=True)]
-    # Solutions of about a pixel: steps start from their last one.
-    (scale,) = team.ordered_sum([np.array([system.hessian.diagonal().max(initial=0.0)]) for system in systems])
-    (n_components,) = team.ordered_sum([np.array([system.subdomain.mesh.dim * share.sum()])
-                                        for system, share in zip(systems, shares, strict=True)])
+    shares = [of_nodes / s.node_multiplicity for s, of_nodes in zip(subdomains, chosen, strict=True)]
+    scale = _find_scale(team, systems)
+    (n_components,) = team.ordered_sum([np.array([s.mesh.dim * share.sum()])
+                                        for s, share in zip(subdomains, shares, strict=True)])
     n_components = max(n_components, 1.0)
     traces = []
     for probe in range(int(np.clip(_SIGNS_BY_STEPS // n_components, 1, _MOST_BY_STEPS))):
-        b = [scale * _project_signs(system.subdomain, share, probe)
-             for system, share in zip(systems, shares, strict=True)]
-        y = [y_s / scale for y_s in step.solve(at_rest, b, _ENOUGH).dq]
-        forces = [system.hessian @ y_s for system, y_s in zip(systems, y, strict=True)]
-        traces.append(team.ordered_sum([
-            np.array([y_s @ of_y, _project_signs(system.subdomain, of_nodes, probe) @ of_y])
-            for system, of_nodes, y_s, of_y in zip(systems, chosen, y, forces, strict=True)]))
+        b = at_rest.with_parts(scale * _project_signs(s, share, probe)
+                               for s, share in zip(subdomains, shares, strict=True))
+        y = step.solve(at_rest, b, _ENOUGH).dq / scale
+        forces = _multiply_by_hessians(systems, y)
+        z = [_project_signs(s, of_nodes, probe) for s, of_nodes in zip(subdomains, chosen, strict=True)]
+        products = [np.array([y_s @ of_y, z_s @ of_y]) for y_s, z_s, of_y in zip(y, z, forces, strict=True)]
+        traces.append(team.ordered_sum(products))
     of_covariance, of_determined = np.mean(traces, axis=0)
     return NoiseResponse(float(np.sqrt(2.0 * of_covariance / n_components)), float(of_determined))
 

@@ -248,15 +248,15 @@ class StepCosts:
         return f"{self.candidate.describe()} {self.seconds:.2g} s, {self.memory / 2**30:.2g} GiB"
 
 
-def predict_costs(task: StepTask, candidate: Candidate, constants: CostConstants = MEASURED) -> StepCosts:
+def predict_costs(task: StepTask, candidate: Candidate) -> StepCosts:
     """Predict what a candidate takes, seconds and bytes."""
-    of_method: dict[StepMethod, Callable[[StepTask, Candidate, CostConstants], StepCosts]] = {
+    of_method: dict[StepMethod, Callable[[StepTask, Candidate], StepCosts]] = {
         "dual": _predict_dual,
         "assembled": _predict_assembled,
         "conjugate_gradient": _predict_conjugate_gradient,
         "monolithic": _predict_monolithic,
     }
-    return of_method[candidate.method](task, candidate, constants)
+    return of_method[candidate.method](task, candidate)
 
 
 def find_shared_boundary(n_subdomains: int) -> float:
@@ -264,69 +264,69 @@ def find_shared_boundary(n_subdomains: int) -> float:
     return 1.0 - 1.0 / float(np.sqrt(n_subdomains))
 
 
-def _predict_assembled(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+def _predict_assembled(task: StepTask, candidate: Candidate) -> StepCosts:
     """MUMPS's nested dissection: n^1.5 operations of the factor, n log n entries."""
     n = task.n_unknowns
-    kind = constants.whole[task.is_regularized]
+    kind = MEASURED.whole[task.is_regularized]
     # The top of the elimination tree is no work for many.
-    spread = task.n_ranks ** constants.parallel_factor[task.is_regularized]
+    spread = task.n_ranks ** MEASURED.parallel_factor[task.is_regularized]
     seconds = n * kind.seconds.evaluate_by_root(n) / spread
-    solve = n * constants.whole_solve * np.log2(n) / spread
-    memory = n * kind.memory.evaluate_by_log(n) / task.n_ranks**constants.parallel_memory
-    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * constants.system_memory + memory)
+    solve = n * MEASURED.whole_solve * np.log2(n) / spread
+    memory = n * kind.memory.evaluate_by_log(n) / task.n_ranks**MEASURED.parallel_memory
+    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * MEASURED.system_memory + memory)
 
 
-def _predict_monolithic(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+def _predict_monolithic(task: StepTask, candidate: Candidate) -> StepCosts:
     """CHOLMOD of the whole."""
     n = task.n_unknowns
-    kind = constants.local[task.is_regularized]
-    solve = n * constants.local_solve * np.log2(n)
+    kind = MEASURED.local[task.is_regularized]
+    solve = n * MEASURED.local_solve * np.log2(n)
     seconds = n * kind.seconds.evaluate_by_root(n)
-    memory = n * (constants.system_memory + kind.memory.evaluate_by_log(n))
+    memory = n * (MEASURED.system_memory + kind.memory.evaluate_by_log(n))
     return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, memory)
 
 
-def _predict_conjugate_gradient(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+def _predict_conjugate_gradient(task: StepTask, candidate: Candidate) -> StepCosts:
     """Iterations as the root of D^-1 A's condition number: the square of the cut-off wavelength in cells."""
-    iterations = max(constants.cg_iterations, constants.cg_iterations_by_square * task.wavelength**2)
+    iterations = max(MEASURED.cg_iterations, MEASURED.cg_iterations_by_square * task.wavelength**2)
     n_own = -(-candidate.n_subdomains // task.n_ranks)
-    of_rank, of_subdomain = constants.cg_product_calls
-    product = task.n_share * constants.cg_product[task.is_regularized] + of_rank + n_own * of_subdomain
-    return StepCosts(candidate, task.n_share * constants.cg_set_up, iterations * product, task.n_steps, iterations,
-                     task.n_share * constants.system_memory)
+    of_rank, of_subdomain = MEASURED.cg_product_calls
+    product = task.n_share * MEASURED.cg_product[task.is_regularized] + of_rank + n_own * of_subdomain
+    return StepCosts(candidate, task.n_share * MEASURED.cg_set_up, iterations * product, task.n_steps, iterations,
+                     task.n_share * MEASURED.system_memory)
 
 
-def _predict_dual(task: StepTask, candidate: Candidate, constants: CostConstants) -> StepCosts:
+def _predict_dual(task: StepTask, candidate: Candidate) -> StepCosts:
     """CHOLMOD of each subdomain, S_s and its inverse, as many operations each as a factor, and few iterations."""
     n_subdomains = candidate.n_subdomains
     n_own = -(-n_subdomains // task.n_ranks)
     n = task.n_unknowns / n_subdomains
-    kind, alone = constants.local[task.is_regularized], constants.local[False]
+    kind, alone = MEASURED.local[task.is_regularized], MEASURED.local[False]
     set_up = kind.seconds.evaluate_by_root(n)
-    memory = constants.system_memory + kind.memory.evaluate_by_log(n)
+    memory = MEASURED.system_memory + kind.memory.evaluate_by_log(n)
     started = 0.0
     if n_subdomains > 1:
-        interface = (constants.interface if n <= LARGEST_ARRAYS else constants.sparse_interface)[task.is_regularized]
+        interface = (MEASURED.interface if n <= LARGEST_ARRAYS else MEASURED.sparse_interface)[task.is_regularized]
         shared = find_shared_boundary(n_subdomains) if n <= LARGEST_ARRAYS else 1.0
         set_up += shared * interface.seconds.evaluate_by_root(n)
         memory += shared * interface.memory.evaluate_by_log(n)
         started = task.n_started / task.n_ranks * STARTED_PIXEL
         set_up += alone.seconds.evaluate_by_root(n) if task.n_started else 0.0
     if candidate.preconditioner == "two_level":
-        set_up += constants.coarse_set_up.evaluate_by_root(n)
-    iterations = _count_dual_iterations(task, candidate, constants)
-    step = n_own * n * constants.local_solve * np.log2(n) * (1 + constants.dual_product * iterations)
+        set_up += MEASURED.coarse_set_up.evaluate_by_root(n)
+    iterations = _count_dual_iterations(task, candidate)
+    step = n_own * n * MEASURED.local_solve * np.log2(n) * (1 + MEASURED.dual_product * iterations)
     return StepCosts(candidate, n_own * n * set_up + started, step, task.n_steps, iterations, n_own * n * memory)
 
 
-def _count_dual_iterations(task: StepTask, candidate: Candidate, constants: CostConstants) -> float:
+def _count_dual_iterations(task: StepTask, candidate: Candidate) -> float:
     """GMRES iterations: with one level they grow with the cut-off wavelength over the side of a subdomain."""
     if candidate.n_subdomains == 1:
         return 0.0
     if candidate.preconditioner == "two_level":
-        return constants.two_level_iterations
+        return MEASURED.two_level_iterations
     side = np.sqrt(task.n_cells / candidate.n_subdomains)
     # A wave longer than the region is as good as one of its length.
     longest = np.sqrt(candidate.n_subdomains)
-    few, by_wave = constants.one_level_iterations
+    few, by_wave = MEASURED.one_level_iterations
     return float(few + by_wave * min(task.wavelength / side, longest))

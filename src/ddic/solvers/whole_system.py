@@ -1,4 +1,4 @@
-"""Eq. 11 of [BP17] for the whole region, from the subdomains' parts: sums over subdomains, A never formed."""
+"""M + eta Kbar^T Kbar, Eq. 11 of [BP17], of the whole region: sums over the subdomains' parts, never formed."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy import sparse
 
 from ddic.errors import SingularSubdomainError, as_collective
 from ddic.functionals.scale_rows import scale_rows
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import Exchange
@@ -50,20 +51,21 @@ class WholeSystem:
         self.systems = systems
         self._team = team
         with PetscStack() as stack:
-            self.numbers, self.n_owned = _number_by_rank(team, [s.subdomain for s in systems])
+            self._subdomains = [system.subdomain for system in systems]
+            self.numbers, self.n_owned = _number_by_rank(team, self._subdomains)
             self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
             self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
             self.rows = [EquilibriumRows.of(system) for system in systems]
             self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
             self._objects = stack.pop_all()
 
-    def average_copies(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Average what subdomains say of each unknown: means here, (n_here,); collective."""
-        return np.asarray(self.sum_over_subdomains(values) / self._multiplicity)
+    def average_copies(self, q: Field) -> Field:
+        """Average what subdomains say of each unknown; collective."""
+        return self.restrict(self.sum_over_subdomains(q) / self._multiplicity)
 
-    def restrict(self, here: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Give each owned subdomain the values of its unknowns, (n_unknowns,), from those here."""
-        return [here[places] for places in self._places]
+    def restrict(self, here: NDArray[np.float64]) -> Field:
+        """Give each owned subdomain the values of its unknowns from those here."""
+        return Field(self._team, self._subdomains, [here[places] for places in self._places])
 
     def add_up(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """Add up values of each owned subdomain, (n_unknowns,), over this rank's subdomains: sums here, (n_here,)."""
@@ -76,35 +78,37 @@ class WholeSystem:
         """Add up values of each owned subdomain over the subdomains of all ranks: sums here, (n_here,); collective."""
         return self.exchange.sum_over_ranks(self.add_up(values))
 
-    def apply(self, here: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply this rank's part of A to x, here, (n_here,), to be added up by the owners; collective."""
-        x = self.restrict(here)
-        gap = self._find_gap(x)
-        products = [system.hessian @ x_s + system.eta * rows.multiply_transposed(gap_s)
-                    for system, rows, x_s, gap_s in zip(self.systems, self.rows, x, gap, strict=True)]
-        return self.add_up(products)
+    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply y = A x: PETSc's callback, where this is the context of a shell matrix."""
+        x_here = self.restrict(self.exchange.fetch_ghosts(x))
+        gap = self._find_gap(x_here)
+        products = []
+        for system, rows, x_s, gap_s in zip(self.systems, self.rows, x_here, gap, strict=True):
+            of_gap = system.eta * rows.multiply_transposed(gap_s)
+            products.append(system.hessian @ x_s + of_gap)
+        self.exchange.add_to_owners(self.add_up(products), y)
 
-    def set_right_hand_side(self, right: PETSc.Vec, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-                            mean: NDArray[np.float64]) -> None:
+    def getDiagonal(self, _: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        """Set a vector to A's diagonal, rows of Kbar on interfaces squared one by one, as is enough to precondition."""
+        of_systems = [system.hessian.diagonal() + system.eta * rows.sum_squares()
+                      for system, rows in zip(self.systems, self.rows, strict=True)]
+        self.exchange.add_to_owners(self.add_up(of_systems), diagonal)
+
+    def set_right_hand_side(self, right: PETSc.Vec, q: Field, b: Field, q_mean: Field) -> None:
         """Set a vector to sum_s R_s^T (b_s + M_s (q_s - qbar_s)) - eta Kbar^T Kbar qbar; collective.
 
-        ``mean`` is qbar here, (n_here,), the one field that takes the place of copies that differ.
+        ``q_mean`` is qbar, the one field that takes the place of copies that differ.
         """
-        q_mean = self.restrict(mean)
         gap = self._find_gap(q_mean)
-        parts = [b_s + system.hessian @ (q_s - mean_s) - system.eta * rows.multiply_transposed(gap_s)
-                 for system, rows, b_s, q_s, mean_s, gap_s
-                 in zip(self.systems, self.rows, b, q, q_mean, gap, strict=True)]
+        parts = []
+        for system, rows, b_s, change_s, gap_s in zip(self.systems, self.rows, b, q - q_mean, gap, strict=True):
+            of_gap = system.eta * rows.multiply_transposed(gap_s)
+            parts.append(b_s + system.hessian @ change_s - of_gap)
         self.exchange.add_to_owners(self.add_up(parts), right)
 
-    def find_corrections(self, solution: PETSc.Vec, q: Sequence[NDArray[np.float64]],
-                         mean: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Find dq_s by which q_s + dq_s is the mean plus the solution everywhere; collective.
-
-        ``mean`` is qbar of ``set_right_hand_side``, here; dq_s is (n_unknowns,) of each owned subdomain.
-        """
-        found = self.restrict(mean + self.exchange.fetch_ghosts(solution))
-        return [found_s - q_s for found_s, q_s in zip(found, q, strict=True)]
+    def find_correction(self, solution: PETSc.Vec, q: Field, q_mean: Field) -> Field:
+        """Find dq by which q + dq is qbar of ``set_right_hand_side`` plus the solution everywhere; collective."""
+        return q_mean + self.restrict(self.exchange.fetch_ghosts(solution)) - q
 
     def check_diagonal(self, operator: PETSc.Mat) -> None:
         """Check that the diagonal of A, or of what gives it, is positive: something holds every unknown; collective.
@@ -123,8 +127,8 @@ class WholeSystem:
 
         ``number`` is that of the unknown, rank by rank; SingularSubdomainError is to be raised on all ranks.
         """
-        nodes = [_find_node(system.subdomain, int(unknown))
-                 for system, numbers in zip(self.systems, self.numbers, strict=True)
+        nodes = [_find_node(subdomain, int(unknown))
+                 for subdomain, numbers in zip(self._subdomains, self.numbers, strict=True)
                  for unknown in np.flatnonzero(numbers == number)]
         x, y = self._team.gather_lists(nodes)[0][:2]
         place = f"the region around column {x:.0f}, row {y:.0f}"
@@ -134,14 +138,14 @@ class WholeSystem:
         """Create a zero vector of owned unknowns over all ranks, the caller's to destroy."""
         return self.exchange.create_vector()
 
-    def destroy(self) -> None:
-        """Free PETSc's objects."""
+    def destroy(self, _: PETSc.Mat | None = None) -> None:
+        """Free PETSc's objects; PETSc calls it too, when the shell matrix goes whose context this is."""
         self._objects.close()
 
-    def _find_gap(self, x: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-        """Kbar x on each owned subdomain's unknowns, rows of interfaces complete."""
+    def _find_gap(self, x: Field) -> Field:
+        """Kbar x, rows of interfaces complete."""
         if all(system.stiffness is None for system in self.systems):
-            return [np.zeros(len(x_s)) for x_s in x]
+            return Field.zero(self._team, self._subdomains)
         forces = [rows.multiply(x_s) for rows, x_s in zip(self.rows, x, strict=True)]
         return self.restrict(self.sum_over_subdomains(forces))
 

@@ -41,20 +41,6 @@ further."""
 
 
 @dataclass(frozen=True)
-class PixelPair:
-    """An image pair as it was taken.
-
-    Attributes
-    ----------
-    reference, deformed : MaskedSource
-        The images.
-    """
-
-    reference: MaskedSource
-    deformed: MaskedSource
-
-
-@dataclass(frozen=True)
 class BinnedPair:
     """An image pair binned over blocks of factor x factor pixels.
 
@@ -64,14 +50,14 @@ class BinnedPair:
         The images, a pixel a block.
     factor : int
         Side of a block, pixels.
-    pixels : PixelPair, optional
-        The images themselves, where parts of them may be looked at in smaller blocks.
+    pixels : BinnedPair, optional
+        The images as they were taken, where parts of them may be looked at in smaller blocks.
     """
 
     reference: MaskedSource
     deformed: MaskedSource
     factor: int
-    pixels: PixelPair | None = None
+    pixels: BinnedPair | None = None
 
     @property
     def n_blocks(self) -> int:

@@ -11,56 +11,34 @@ from numpy.typing import NDArray
 
 from ddic.case.schema import Case, StartSection
 from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.view import View
 from ddic.images.binned import bin_rows, join_blocks
 from ddic.images.rigid import build_uniform_field
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera, Frame, MeasuredCells
 from ddic.inputs.inputs import Inputs
-from ddic.kinematics.camera import see_discontinuities
+from ddic.kinematics.camera import CameraSetup, see_discontinuities
 from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.mesh import Mesh
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team, require_held
+from ddic.partition.subdomain import Subdomain
 from ddic.problem.cut_region import list_discontinuities
-from ddic.problem.views import ReferenceViews
-from ddic.start.binned_pair import BinnedPair, PixelPair, choose_finest_block
-from ddic.start.coarse_displacement import CoarseField, KeptResult, evaluate_at_nodes
+from ddic.problem.reference_problem import ReferenceProblem
+from ddic.start.binned_pair import BinnedPair, choose_finest_block
+from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
-from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Pyramid, Stages, find_multilevel_start
+from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Pyramid, find_multilevel_start
 from ddic.start.start_from_given import find_start_from_given
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class StartField:
-    """Where the independent measurements start.
-
-    Attributes
-    ----------
-    q : list of (n_field,) array
-        Field of each owned subdomain, as if no set-up had moved.
-    notes : tuple of str
-        How it was found.
-    """
-
-    q: list[Array]
-    notes: tuple[str, ...]
+LookedUp = tuple[Array, NDArray[np.bool_]]
+"""Displacement of a subdomain's nodes, (n_nodes, 2), pixels, and which of them are known, (n_nodes,)."""
 
 
-@dataclass(frozen=True, eq=False)
-class SeenRegion:
-    """What a camera sees of the region.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The cells that it measures, its pixels.
-    lines : LinesOnLevels
-        Discontinuities of the displacement, its pixels.
-    """
-
-    mesh: Mesh
-    lines: LinesOnLevels
+SeenRegion = tuple[Mesh, LinesOnLevels]
+"""The cells that a camera measures, and discontinuities of their displacement, its pixels."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +81,7 @@ class CoarseSearch:
         if frame is None:
             return lambda: None
         if not (self.section.rigid or self.section.pyramid):
-            return self._take_as_it_is
+            return partial(self._search, None)
         pairs = [_bin_together(self.team, camera.reference, deformed)
                  for camera, deformed in zip(self.cameras, frame, strict=True)]
         return partial(self._search, pairs)
@@ -114,34 +92,24 @@ class CoarseSearch:
         shared: list[MultilevelStart] | None = self.team.broadcast(found, root=self.team.size - 1)
         return shared
 
-    def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
+    def _search(self, pairs: Sequence[BinnedPair | None] | None) -> list[MultilevelStart] | None:
+        """The start of each camera's field; without pairs what is given, or rest, without a look at the images."""
         if self.regions is None:
             return None
-        stages = Stages(self.section.rigid, self.section.features, self.section.pyramid)
         found = []
-        for pair, region, camera in zip(pairs, self.regions, self.cameras, strict=True):
-            images = require_held(pair)
+        for number, ((mesh, lines), camera) in enumerate(zip(self.regions, self.cameras, strict=True)):
+            pyramid = None
+            if pairs is not None:
+                pyramid = Pyramid(require_held(pairs[number]), mesh, self.correction, lines)
             if self.given is None:
-                found.append(find_multilevel_start(images, region.mesh, stages, self.correction, region.lines))
+                found.append(MultilevelStart(build_uniform_field((0.0, 0.0))) if pyramid is None
+                             else find_multilevel_start(pyramid, self.section))
                 continue
-            placed = self._place(self.given, region, camera)
-            pyramid = Pyramid(images, region.mesh, self.correction, region.lines)
-            found.append(self._describe(self.given, placed, find_start_from_given(placed.field, pyramid, stages)))
+            placed = place_start(self.given, mesh, lines.discontinuities, camera)
+            start = (MultilevelStart(placed.field) if pyramid is None
+                     else find_start_from_given(placed.field, pyramid, self.section))
+            found.append(self._describe(self.given, placed, start))
         return found
-
-    def _take_as_it_is(self) -> list[MultilevelStart] | None:
-        """What is given, or rest, without a look at the images."""
-        if self.regions is None:
-            return None
-        if self.given is None:
-            return [MultilevelStart(build_uniform_field((0.0, 0.0)), (), (), ())] * len(self.cameras)
-        placed = [self._place(self.given, region, camera)
-                  for region, camera in zip(self.regions, self.cameras, strict=True)]
-        return [self._describe(self.given, one, MultilevelStart(one.field, (), (), ())) for one in placed]
-
-    @staticmethod
-    def _place(given: GivenStart, region: SeenRegion, camera: Camera) -> PlacedStart:
-        return place_start(given, region.mesh, region.lines.discontinuities, camera)
 
     @staticmethod
     def _describe(given: GivenStart, placed: PlacedStart, start: MultilevelStart) -> MultilevelStart:
@@ -171,21 +139,7 @@ def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
     discontinuities = list_discontinuities(case)
     if camera.number > 0:
         discontinuities = see_discontinuities(discontinuities, cells.mesh, camera.setup.mapping)
-    return SeenRegion(cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block))
-
-
-def fit_coarse_fields(cameras: Sequence[Camera], references: Sequence[ReferenceViews],
-                      found: Sequence[MultilevelStart]) -> StartField:
-    """Start each owned subdomain from its camera's coarse field, found by camera; free of communication."""
-    q = [_fit_coarse_field(reference, found[reference.subdomain.camera].field) for reference in references]
-    return StartField(q, describe_starts(cameras, found))
-
-
-def _fit_coarse_field(reference: ReferenceViews, field: CoarseField | KeptResult) -> Array:
-    if isinstance(field, KeptResult):
-        raise TypeError("an earlier result that is kept is looked up at the nodes")
-    still = reference.own.hold_still().kinematics
-    return still.fit(evaluate_at_nodes(field, still.mesh).ravel())
+    return cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block)
 
 
 def describe_starts(cameras: Sequence[Camera], found: Sequence[MultilevelStart]) -> tuple[str, ...]:
@@ -223,51 +177,55 @@ def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -
     if bands is None:
         return None
     binned = [join_blocks(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
-    return BinnedPair(binned[0], binned[1], factor, PixelPair(reference, deformed))
+    return BinnedPair(binned[0], binned[1], factor, BinnedPair(reference, deformed, 1))
 
 
-def fit_found_fields(search: CoarseSearch, references: Sequence[ReferenceViews],
-                     found: Sequence[MultilevelStart]) -> StartField:
+def fit_found_fields(search: CoarseSearch, reference: ReferenceProblem,
+                     found: Sequence[MultilevelStart]) -> tuple[Field, tuple[str, ...]]:
     """Start each subdomain from what was found for its camera, or from the earlier result that is kept; collective.
 
     That result, which the search holds on rank 0, gives its displacement, moved as the set-ups did, so that no set-up
-    has moved. Raises InputError on all ranks where it holds no motion of a near field.
+    has moved: unknowns are those of the field, (n_field,). Notes how they were found come as well. Raises InputError on
+    all ranks where the result holds no motion of a near field.
     """
-    team, cameras = search.team, search.cameras
-    if not any(isinstance(start.field, KeptResult) for start in found):
-        return team.together(lambda: fit_coarse_fields(cameras, references, found))
-    wanted = team.gather_to([(find_points_on_own_side(reference.subdomain.mesh), reference.subdomain.mesh.nodes)
-                             for reference in references])
+    team, cameras, subdomains = search.team, search.cameras, reference.subdomains
+    notes = describe_starts(cameras, found)
+    own = [of_subdomain[0] for of_subdomain in reference.views]
+    fields = [found[subdomain.camera].field for subdomain in subdomains]
+    looked_up: Sequence[LookedUp | None] = [None] * len(subdomains)
+    motions = [np.zeros(0)] * len(cameras)
+    if any(isinstance(start.field, KeptResult) for start in found):
+        looked_up = _look_up(search, subdomains)
+        motions = team.on_root(lambda: [_require_result(search).get_motion(camera) for camera in cameras])
 
-    def look_up() -> list[list[tuple[Array, NDArray[np.bool_]]]]:
+    def fit(subdomain: Subdomain, view: View, field: CoarseField | KeptResult, of_nodes: LookedUp | None) -> Array:
+        seen = view.kinematics.hold_still()
+        if not isinstance(field, KeptResult):
+            return seen.fit(evaluate_at_nodes(field, seen.mesh).ravel())
+        camera = cameras[subdomain.camera]
+        moved = _move_kept(subdomain, camera.setup, motions[camera.number], require_held(of_nodes), field.beyond,
+                           seen.mesh)
+        return subdomain.kinematics.fit((moved - subdomain.mesh.nodes).ravel())
+
+    q = team.together(lambda: [fit(*of_subdomain)
+                               for of_subdomain in zip(subdomains, own, fields, looked_up, strict=True)])
+    return Field(team, subdomains, q), notes
+
+
+def _look_up(search: CoarseSearch, subdomains: Sequence[Subdomain]) -> list[LookedUp]:
+    """The earlier result's displacement of the nodes of owned subdomains, which rank 0 knows; collective."""
+    wanted = search.team.gather_to([(find_points_on_own_side(s.mesh), s.mesh.nodes) for s in subdomains])
+
+    def look_up() -> list[list[LookedUp]]:
         # All at once: the search trees of the earlier mesh are built once.
         of_ranks = require_held(wanted)
-        on_own_side, nodes = _join([places for rank in of_ranks for places in rank])
+        on_own_side, nodes = (np.concatenate([places[k] for rank in of_ranks for places in rank]) for k in range(2))
         values, known = _require_result(search).evaluate(on_own_side, nodes)
         ends = np.cumsum([len(places) for rank in of_ranks for _, places in rank])[:-1]
         pieces = iter(zip(np.split(values, ends), np.split(known, ends), strict=True))
         return [[next(pieces) for _ in rank] for rank in of_ranks]
 
-    looked_up = team.scatter_from_root(look_up)
-    motions = team.on_root(lambda: [_require_result(search).get_motion(camera) for camera in cameras])
-
-    def fit() -> list[Array]:
-        q = []
-        for reference, (u, known) in zip(references, looked_up, strict=True):
-            number = reference.subdomain.camera
-            field = found[number].field
-            if isinstance(field, KeptResult):
-                q.append(_fit_kept(reference, cameras[number], motions[number], (u, known), field))
-            else:
-                q += fit_coarse_fields(cameras, [reference], found).q
-        return q
-
-    return StartField(team.together(fit), describe_starts(cameras, found))
-
-
-def _join(places: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Points on their own sides, and nodes, of all subdomains."""
-    return np.concatenate([points for points, _ in places]), np.concatenate([nodes for _, nodes in places])
+    return search.team.scatter_from_root(look_up)
 
 
 def _require_result(search: CoarseSearch) -> EarlierResult:
@@ -276,14 +234,12 @@ def _require_result(search: CoarseSearch) -> EarlierResult:
     return search.given
 
 
-def _fit_kept(reference: ReferenceViews, camera: Camera, motion: Array, looked_up: tuple[Array, NDArray[np.bool_]],
-              field: KeptResult) -> Array:
+def _move_kept(subdomain: Subdomain, setup: CameraSetup, motion: Array, looked_up: LookedUp, beyond: CutField | None,
+               seen: Mesh) -> Array:
+    """Where an earlier result puts the nodes, moved as the set-up did; ``seen`` is the mesh in the camera's pixels."""
     u, known = looked_up
-    subdomain, setup = reference.subdomain, camera.setup
-    nodes = subdomain.mesh.nodes
-    moved = np.array(setup.move(nodes + u, motion))
+    moved = np.array(setup.move(subdomain.mesh.nodes + u, motion))
     if not known.all():
-        seen = reference.own.hold_still().kinematics.mesh
-        in_image = evaluate_at_nodes(require_held(field.beyond), seen)[~known]
+        in_image = evaluate_at_nodes(require_held(beyond), seen)[~known]
         moved[~known] = setup.mapping.to_specimen(seen.nodes[~known] + in_image)
-    return subdomain.kinematics.fit((moved - nodes).ravel())
+    return moved

@@ -117,38 +117,36 @@ def match_features(pair: BinnedPair, mesh: Mesh, piece_of_cell: NDArray[np.int64
     return FeatureMatches(points[kept], displacement[kept], pieces[kept], len(points))
 
 
-@dataclass(frozen=True, eq=False)
-class _Features:
-    """Places (n, 2), blocks, and descriptors (n, 128)."""
-
-    points: Array
-    descriptors: NDArray[np.float32]
+_Features = tuple[Array, NDArray[np.float32]]
+"""Places (n, 2), blocks, and descriptors (n, 128)."""
 
 
 def _find_features(source: MaskedSource, mask: NDArray[np.uint8] | None, n_features: int) -> _Features:
     """The strongest features of an image where a mask is not zero."""
     values = source.read_whole().astype(np.float32)
     counted = values if mask is None else values[mask > 0]
+    nothing = np.zeros((0, 2)), np.zeros((0, 128), np.float32)
     if not counted.size:
-        return _Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
+        return nothing
     low, high = np.percentile(counted, GREY_TAILS)
     grey = np.clip((values - low) * (255.0 / max(float(high - low), 1e-6)), 0, 255).astype(np.uint8)
     # Without precise upscaling all places are a quarter of a block off, which a rotation shows.
     sift = cv2.SIFT.create(nfeatures=n_features, contrastThreshold=LEAST_CONTRAST, enable_precise_upscale=True)
     key_points, descriptors = sift.detectAndCompute(grey, mask)
     if descriptors is None:
-        return _Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
-    return _Features(np.array([point.pt for point in key_points], dtype=np.float64), descriptors)
+        return nothing
+    return np.array([point.pt for point in key_points], dtype=np.float64), descriptors
 
 
 def _match(reference: _Features, deformed: _Features) -> tuple[Array, Array]:
     """Places and displacements, blocks, of features whose nearest one is nearer by far than the second."""
-    if len(reference.points) == 0 or len(deformed.points) < 2:
+    (places, of_reference), (found, of_deformed) = reference, deformed
+    if len(places) == 0 or len(found) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
-    pairs = cv2.BFMatcher().knnMatch(reference.descriptors, deformed.descriptors, k=2)
+    pairs = cv2.BFMatcher().knnMatch(of_reference, of_deformed, k=2)
     clear = [best for best, second in pairs if best.distance < LARGEST_RATIO * second.distance]
-    points = reference.points[[match.queryIdx for match in clear]]
-    return points, deformed.points[[match.trainIdx for match in clear]] - points
+    points = places[[match.queryIdx for match in clear]]
+    return points, found[[match.trainIdx for match in clear]] - points
 
 
 def _find_consistent(points: Array, displacement: Array, pieces: NDArray[np.int64], misfit: float) -> NDArray[np.int64]:
@@ -215,22 +213,22 @@ class MatchedField:
 
 
 @dataclass(frozen=True, eq=False)
-class PairField:
-    """A displacement at the nodes of a mesh.
+class ExtendedField:
+    """A displacement at the nodes of a mesh, of which it was known somewhere.
 
     Attributes
     ----------
     displacement : (n_nodes, 2) array
         Pixels.
     n_pieces_without : int
-        Pieces of the mesh in which no point lies: they move with the affine map of the nearest point's piece.
+        Pieces of the mesh in which it was known nowhere: they move with the affine map of what is nearest.
     """
 
     displacement: Array
     n_pieces_without: int
 
 
-def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairField:
+def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> ExtendedField:
     """Interpolate displacements, (n, 2), at points, (n, 2), pixels, to a mesh, each piece of it for itself.
 
     One point says a translation, two a rotation with a scale, three an affine map; what this leaves of more points is
@@ -249,7 +247,7 @@ def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> PairFie
         of_piece = fit_affine_map(points[own], displacement[own])
         values[nodes] = of_piece.at(mesh.nodes[nodes])
         values[nodes] += _interpolate_rest(points[own], displacement[own], of_piece, mesh.nodes[nodes])
-    return PairField(values, int(piece_of_node.max()) + 1 - len(held))
+    return ExtendedField(values, int(piece_of_node.max()) + 1 - len(held))
 
 
 def _interpolate_rest(points: Array, displacement: Array, of_all: AffineMap, places: Array) -> Array:

@@ -10,18 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError, as_collective, list_first
-from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.functionals.correlation import Residual
+from ddic.functionals.grey_statistics import GreyCorrection, measure_deviation
 from ddic.functionals.view import FrameView
 from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.start_points import StartPoints
 from ddic.kinematics.camera import CameraKinematics
+from ddic.kinematics.kinematics import Kinematics
+from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
-from ddic.parallel.team import Team, require_held
+from ddic.parallel.team import require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.views import FrameViews, ReferenceViews, read_frame_windows
+from ddic.problem.views import hold_set_ups_still, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.start.coarse_field import CoarseSearch, StartField, fit_found_fields
+from ddic.start.coarse_field import CoarseSearch, fit_found_fields
 from ddic.start.given_start import EarlierResult, GivenStart
 from ddic.start.independent import measure_independently
 from ddic.start.multilevel import MultilevelStart
@@ -49,8 +52,6 @@ class FrameStart:
 
     Attributes
     ----------
-    team : Team
-        All ranks.
     search : CoarseSearch
         For coarse fields.
     problem : WeightedProblem
@@ -59,91 +60,69 @@ class FrameStart:
         Of the phases.
     """
 
-    team: Team
     search: CoarseSearch
     problem: WeightedProblem
     clock: PhaseClock
 
 
-@dataclass(frozen=True)
-class StartedFrame:
-    """Where Gauss-Newton starts.
-
-    Attributes
-    ----------
-    q : list of (n_unknowns,) array
-        Of each owned subdomain.
-    notes : tuple of str
-        How they were found.
-    """
-
-    q: list[Array]
-    notes: tuple[str, ...]
-
-
-def find_start(by: FrameStart, frame: Frame, views: Sequence[FrameViews], found: list[MultilevelStart] | None,
-               begin: KnownStart | None) -> StartedFrame:
-    """Find where Gauss-Newton starts; collective.
+def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: list[MultilevelStart] | None,
+               begin: KnownStart | None) -> tuple[Field, tuple[str, ...]]:
+    """Find where Gauss-Newton starts, with notes how; collective.
 
     ``found`` are coarse fields that were found already, by camera. ``begin`` are unknowns of an earlier frame, which
     replace all stages; or a displacement from which they go on, in place of what the case gives. Raises InputError and
     ConvergenceError on all ranks.
     """
+    problem, reference = by.problem, by.problem.reference
+    team, subdomains = problem.team, reference.subdomains
     if isinstance(begin, EarlierResult | StartPoints):
         by, found = replace(by, search=by.search.start_from(begin)), None
     elif begin is not None:
-        return StartedFrame([np.array(q_s) for q_s in begin], ("start: an earlier frame",))
-    references = [of_subdomain.reference for of_subdomain in views]
+        return Field(team, subdomains, begin), ("start: an earlier frame",)
+    search = by.search
     with by.clock.phase(Phase.START):
-        coarse = _find_coarse_fields(by, frame, references, found)
+        if found is None:
+            found = search.share(team.together(search.prepare(frame)))
+        q, notes = fit_found_fields(search, reference, require_held(found))
     with by.clock.phase(Phase.READ):
-        by.team.together(lambda: read_frame_windows([of_subdomain.alone() for of_subdomain in views], coarse.q))
+        team.together(lambda: read_frame_windows(hold_set_ups_still(subdomains, views)[1], q))
     with by.clock.phase(Phase.INDEPENDENT_START):
-        fields, notes = _refine_independently(by, views, coarse)
-        if len(by.search.cameras) == 1:
-            return StartedFrame(fields, notes)
-        motions = start_motions(by.team, by.search.cameras, [r.subdomain for r in references], fields)
-        if by.problem.is_set_up:
-            noise: Sequence[float] = by.problem.noise
-        else:
-            noise = estimate_noise(by.team, by.search.cameras, views, fields, by.search.correction)
-    if not by.problem.is_set_up:
-        by.problem.set_noise(noise)
-    q = by.team.together(lambda: [_join_motion(reference, field, motions[reference.subdomain.camera])
-                                  for reference, field in zip(references, fields, strict=True)])
-    return StartedFrame(q, (*notes, *describe_noise(by.search.cameras, noise)))
+        q, of_refinement = _refine_independently(by, views, q)
+        notes = (*notes, *of_refinement)
+        if len(search.cameras) == 1:
+            return q, notes
+        motions = start_motions(search.cameras, q)
+        noise: Sequence[float] = problem.noise
+        if not problem.is_set_up:
+            noise = estimate_noise(search.cameras, q, views, search.correction)
+    if not problem.is_set_up:
+        problem.set_noise(noise)
+    kinematics = [own.kinematics for own, *_ in reference.views]
+    with_motions = team.together(lambda: q.map(
+        lambda subdomain, field, of_own: _join_motion(of_own, field, motions[subdomain.camera]), kinematics))
+    return with_motions, (*notes, *describe_noise(search.cameras, noise))
 
 
-def _find_coarse_fields(by: FrameStart, frame: Frame, references: Sequence[ReferenceViews],
-                        found: list[MultilevelStart] | None) -> StartField:
-    if found is None:
-        search = by.search.prepare(frame)
-        found = by.search.share(by.team.together(search))
-    return fit_found_fields(by.search, references, require_held(found))
-
-
-def _refine_independently(by: FrameStart, views: Sequence[FrameViews],
-                          coarse: StartField) -> tuple[list[Array], tuple[str, ...]]:
+def _refine_independently(by: FrameStart, views: ByView[FrameView], q: Field) -> tuple[Field, tuple[str, ...]]:
     """Fields of subdomains by themselves, where the case asks for them and something follows from them."""
     reference = by.problem.reference
     one_camera = len(by.search.cameras) == 1
     # Else the whole region's Gauss-Newton starts as cheaply: its factor is there, or none is needed.
     couples_several = reference.inputs.case.solver.method == "dual" and reference.region.n_subdomains > 1
     if not by.search.section.independent or (one_camera and not couples_several):
-        return coarse.q, coarse.notes
-    refined = measure_independently(by.team, views, reference.hessians, coarse.q, by.search.correction, by.clock)
-    kept = by.team.gather_lists(refined.kept)
+        return q, ()
+    refined, own_kept = measure_independently(q, views, reference.hessians, by.search.correction, by.clock)
+    kept = q.team.gather_lists(own_kept)
     note = "start: independent FE-DIC on every subdomain"
     if kept:
         note += f"; {len(kept)} kept the coarse field for want of texture or convergence ({list_first(kept)})"
-    return refined.q, (*coarse.notes, note)
+    return refined, (note,)
 
 
-def _join_motion(reference: ReferenceViews, field: Array, motion: Array) -> Array:
+def _join_motion(kinematics: Kinematics, field: Array, motion: Array) -> Array:
     """Unknowns of a subdomain from what its own camera saw as if its set-up were still, and the motion of that."""
-    if reference.subdomain.motion is None:
+    if not len(motion):
         return field
-    kinematics = reference.own.kinematics
     if not isinstance(kinematics, CameraKinematics):
         raise TypeError("a camera whose set-up moves has kinematics of its own")
     in_image = kinematics.displacement(np.concatenate([field, np.zeros_like(motion)]))
@@ -170,16 +149,15 @@ class _InterfaceField:
     columns: Array
 
 
-def start_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[Subdomain],
-                  fields: Sequence[Array]) -> list[Array]:
+def start_motions(cameras: Sequence[Camera], q: Field) -> list[Array]:
     """Find the motion of each camera that leaves the least jumps between independent fields, Eq. 22 of [BP17].
 
-    ``fields`` are those of the owned subdomains, as if no set-up had moved; the motions, (n_motion_unknowns,), are on
-    all ranks. Raises InputError on all ranks where a camera shares too few unknowns with others.
+    ``q`` are the fields' unknowns as if no set-up had moved; the motions, (n_motion_unknowns,), are on all ranks.
+    Raises InputError on all ranks where a camera shares too few unknowns with others.
     """
-    owned = team.together(lambda: [_interface_field(cameras[subdomain.camera], subdomain, field)
-                                   for subdomain, field in zip(subdomains, fields, strict=True)])
-    pieces = team.gather_lists(owned)
+    owned = q.team.together(lambda: [_interface_field(cameras[subdomain.camera], subdomain, field)
+                                     for subdomain, field in zip(q.subdomains, q, strict=True)])
+    pieces = q.team.gather_lists(owned)
     by_camera = [_mean_of_copies([piece for piece in pieces if piece.camera == camera.number]) for camera in cameras]
     n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in cameras]
     columns, jumps = _find_jumps(by_camera, n_motion_unknowns)
@@ -232,35 +210,29 @@ def _mean_of_copies(pieces: Sequence[_InterfaceField]) -> _InterfaceField:
     return _InterfaceField(pieces[0].camera, numbers, sums / counts, all_columns[place])
 
 
-def estimate_noise(team: Team, cameras: Sequence[Camera], views: Sequence[FrameViews],
-                   fields: Sequence[NDArray[np.float64]], correction: GreyCorrection) -> list[float]:
+def estimate_noise(cameras: Sequence[Camera], q: Field, views: ByView[FrameView],
+                   correction: GreyCorrection) -> list[float]:
     """Find the noise of each camera: given, or its residual's standard deviation over sqrt(2); collective.
 
     The noise is a standard deviation, grey levels; each field is as its own camera alone sees it. Of a camera's
     subdomains the one in the middle counts: some may not have been measured well by themselves.
     """
-    alone = [_by_own_camera(of_subdomain) for of_subdomain in views]
-    model = ResidualModel(team, alone, correction, len(cameras))
-    evaluation = model.evaluate(fields)
-    deviations = team.gather_lists([(of_subdomain.subdomain.camera, _deviation(model, evaluation, k))
-                                    for k, of_subdomain in enumerate(alone)])
-    ranges = team.gather_lists([(of_subdomain.subdomain.camera, *of_subdomain.reference.own.measure_grey_range())
-                                for of_subdomain in alone])
+    model = ResidualModel(q.team, *hold_set_ups_still(q.subdomains, views), correction, len(cameras))
+    evaluation = model.evaluate(q)
+    described = q.team.gather_lists(model.views.map(
+        lambda own, residual: (own.camera, _deviation(model, evaluation, own.camera, residual),
+                               *own.measure_grey_range()), evaluation.residuals).flat)
     noise = []
     for camera in cameras:
-        of_camera = [std for number, std in deviations if number == camera.number]
+        of_camera = [rest for number, *rest in described if number == camera.number]
+        deviations, lowest, highest = zip(*of_camera, strict=True)
         # The residual has the noise of two images.
-        estimated = float(np.median(of_camera)) / np.sqrt(2)
-        lowest = min(low for number, low, _ in ranges if number == camera.number)
-        highest = max(high for number, _, high in ranges if number == camera.number)
-        smallest = max(SMALLEST_SHARE * (highest - lowest), _rounding(camera))
+        estimated = float(np.median(deviations)) / np.sqrt(2)
+        # Floats need not be rounded.
+        rounding = 0.0 if camera.reference.image.saturation is None else ROUNDING
+        smallest = max(SMALLEST_SHARE * (max(highest) - min(lowest)), rounding)
         noise.append(max(estimated, smallest) if camera.noise is None else camera.noise)
     return noise
-
-
-def _rounding(camera: Camera) -> float:
-    """Standard deviation of the rounding of a camera's grey levels; floats need not be rounded."""
-    return 0.0 if camera.reference.image.saturation is None else ROUNDING
 
 
 def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:
@@ -272,20 +244,7 @@ def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[s
     return tuple(lines)
 
 
-def _by_own_camera(of_subdomain: FrameViews) -> FrameViews:
-    """The same by its own camera, which keeps its number, in a set-up that does not move."""
-    alone = of_subdomain.reference.alone()
-    own = of_subdomain.reference.own.hold_still()
-    return FrameViews(ReferenceViews(alone.subdomain, (own,)), (FrameView(own, of_subdomain.views[0].deformed),))
-
-
-def _deviation(model: ResidualModel, evaluation: Evaluation, place: int) -> float:
+def _deviation(model: ResidualModel, evaluation: Evaluation, camera: int, residual: Residual) -> float:
     """Standard deviation of a subdomain's residual, grey levels."""
-    residual = evaluation.residuals[place][0]
-    camera = model.views[place].views[0].camera
     first, second = residual.cell_sums.sum_residual(*model.find_correction(evaluation, camera, residual))
-    n_pixels = max(float(residual.sums.n_pixels), 1.0)
-    mean = first.sum() / n_pixels
-    variance = second.sum() / n_pixels - mean**2
-    # Rounding may leave a variance of nothing below zero.
-    return float(np.sqrt(max(variance, 0.0)))
+    return measure_deviation(max(float(residual.sums.n_pixels), 1.0), first.sum(), second.sum())[0]

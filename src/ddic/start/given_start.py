@@ -16,8 +16,7 @@ from ddic.errors import InputError
 from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.inputs.cameras import Camera
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
-from ddic.io.damaged_result import require_known_displacement
-from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides
+from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides, require_known_displacement
 from ddic.io.result_schema import near_group
 from ddic.io.series_reader import read_frame_or_last
 from ddic.kinematics.enriched import Discontinuities
@@ -28,7 +27,13 @@ from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_facets
 from ddic.solvers.local_operator import LocalOperator
 from ddic.start.coarse_displacement import CutField
-from ddic.start.feature_matches import AffineMap, find_piece_of_nodes, fit_affine_map, interpolate_pairs
+from ddic.start.feature_matches import (
+    AffineMap,
+    ExtendedField,
+    find_piece_of_nodes,
+    fit_affine_map,
+    interpolate_pairs,
+)
 
 Array = NDArray[np.float64]
 
@@ -226,23 +231,7 @@ def _measure_distances(mesh: Mesh, points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class Extrapolated:
-    """A displacement at all nodes of a mesh.
-
-    Attributes
-    ----------
-    displacement : (n_nodes, 2) array
-        Pixels.
-    n_pieces_without : int
-        Pieces of the mesh in which it was known nowhere: they move with the affine map of what is nearest.
-    """
-
-    displacement: Array
-    n_pieces_without: int
-
-
-def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Extrapolated:
+def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> ExtendedField:
     """Extrapolate a displacement, (n_nodes, 2), pixels, from the nodes at which it is known, at least one.
 
     In each piece the affine map nearest to what is known goes on, and what this leaves is in equilibrium, with free
@@ -264,7 +253,7 @@ def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Ex
         background[members] = of_piece.at(mesh.nodes[members])
     values[~known] = background[~known]
     values += _balance(mesh, np.where(known[:, None], values - background, 0.0), known)
-    return Extrapolated(values, len(np.unique(pieces)) - len(maps))
+    return ExtendedField(values, len(np.unique(pieces)) - len(maps))
 
 
 def _balance(mesh: Mesh, prescribed: Array, known: NDArray[np.bool_]) -> Array:

@@ -15,27 +15,25 @@ from scipy import sparse
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.functionals.regularization import (
-    Material,
-    controlled_stiffness,
-    find_cut_off_weight,
-    measure_gap_energies,
-    measure_texture_energies,
-)
+from ddic.functionals.regularization import Material, controlled_stiffness, measure_gap_energies
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import SINGULAR, Hessians
+from ddic.problem.assembly import SINGULAR, find_eta, weigh_rows
+from ddic.problem.region_mesh import ProbeWaves
 from ddic.problem.residual_model import ResidualModel, is_deformation_large
-from ddic.problem.views import FrameViews, ReferenceViews
+from ddic.problem.views import Hessians, hold_set_ups_still, project_hessians
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Progress, gauss_newton, stay_silent
+from ddic.solvers.gauss_newton import Progress, gauss_newton
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.start.coarse_displacement import LevelMesh
+
+Array = NDArray[np.float64]
 
 TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10, largest=np.inf)
 """Looser than any measurement's, which goes on from there."""
@@ -49,73 +47,67 @@ SINGULAR_ALONE = 1e-10
 """Lowest eigenvalue of a usable operator, relative to the mean diagonal of M. A larger value refuses more of them."""
 
 
-@dataclass(frozen=True)
-class IndependentFields:
-    """What the subdomains found by themselves.
+def measure_independently(q: Field, views: ByView[FrameView], hessians: Hessians, correction: GreyCorrection,
+                          clock: PhaseClock) -> tuple[Field, list[int]]:
+    """Run FE-DIC, M dq = b of Eq. 6 of [BP17], on every owned subdomain by itself, by its own camera; collective.
 
-    Attributes
-    ----------
-    q : list of (n_field,) array
-        Field of each owned subdomain, the set-up of its camera still.
-    kept : list of int
-        Owned subdomains that kept what they had, by number.
+    ``q`` are the unknowns of fields to start from, (n_field,), the set-ups of all cameras still; so are those found. A
+    subdomain whose M_s is singular or that does not converge keeps what it had: the numbers of these come as well.
+    ``hessians`` are M of each view, on displacements of nodes in its image.
     """
-
-    q: list[NDArray[np.float64]]
-    kept: list[int]
-
-
-def measure_independently(team: Team, views: Sequence[FrameViews], hessians: Sequence[Hessians],
-                          q: Sequence[NDArray[np.float64]], correction: GreyCorrection,
-                          clock: PhaseClock) -> IndependentFields:
-    """Run FE-DIC on every owned subdomain by itself, by its own camera; collective.
-
-    A subdomain whose M_s is singular or that does not converge keeps its q, with which it starts, the set-up of its
-    camera still. ``hessians`` are M of each view, on displacements of nodes in its image.
-    """
-    alone = [of_subdomain.alone() for of_subdomain in views]
+    team = q.team
+    still, alone = hold_set_ups_still(q.subdomains, views)
+    # Each is the first camera of a problem of its own.
+    alone = alone.map(lambda view: replace(view, camera=0))
+    of_own = ByView([own] for own, *_ in hessians)
     follows = is_deformation_large(team, alone, q)
     if follows:
-        hessians = team.together(lambda: [[of_subdomain.views[0].view.with_moved_gradient(q_s).assemble_hessian()]
-                                          for of_subdomain, q_s in zip(alone, q, strict=True)])
-    projected = [of_subdomain.reference.project(m[:1]) for of_subdomain, m in zip(alone, hessians, strict=True)]
-    thresholds = _find_thresholds(team, alone, projected)
+        of_own = team.together(lambda: alone.map(
+            lambda view, q_s: view.with_moved_gradient(q_s).assemble_hessian(), alone.fill(q)))
+    projected = project_hessians(alone, of_own)
+    thresholds = _find_thresholds(team, still, projected)
 
-    def measure() -> IndependentFields:
+    def measure() -> tuple[Field, list[int]]:
         fields, kept = [], []
-        for of_subdomain, hessian, q_s in clock.note_each(list(zip(alone, projected, q, strict=True))):
-            threshold = thresholds[of_subdomain.subdomain.camera]
+        for subdomain, view, hessian, q_s in clock.note_each(list(zip(still, alone, projected, q, strict=True))):
+            model = ResidualModel(Team.alone(), [subdomain], ByView([view]), correction, follows=follows,
+                                  keeps_windows=True)
+            system = LocalSystem(subdomain, hessian, None, np.zeros(0), 0.0)
             try:
-                model = ResidualModel(Team.alone(), [of_subdomain], correction, follows=follows, keeps_windows=True)
-                fields.append(_measure_alone(model, hessian, q_s, threshold))
+                fields.append(_iterate(model, system, thresholds[subdomain.camera], q_s, TOLERANCES,
+                                       "independent start"))
             except (SingularSubdomainError, ConvergenceError):
                 fields.append(q_s)
-                kept.append(of_subdomain.subdomain.index)
-        return IndependentFields(fields, kept)
+                kept.append(subdomain.index)
+        return q.with_parts(fields), kept
 
     return team.together(measure)
 
 
-def _find_thresholds(team: Team, alone: Sequence[FrameViews], hessians: Sequence[sparse.csr_matrix],
-                     ) -> dict[int, float]:
+def _find_thresholds(team: Team, subdomains: Sequence[Subdomain],
+                     hessians: Sequence[sparse.csr_matrix]) -> dict[int, float]:
     """Eigenvalue below which M_s counts as singular, by camera: of the mean diagonal of all its subdomains."""
-    sums: dict[int, NDArray[np.float64]] = {}
-    mine = [(of_subdomain.subdomain.camera, np.array([hessian.diagonal().sum(), hessian.shape[0]]))
-            for of_subdomain, hessian in zip(alone, hessians, strict=True)]
+    sums: dict[int, Array] = {}
+    mine = [(subdomain.camera, np.array([hessian.diagonal().sum(), hessian.shape[0]]))
+            for subdomain, hessian in zip(subdomains, hessians, strict=True)]
     for camera, of_subdomain in team.gather_lists(mine):
         sums[camera] = sums.get(camera, np.zeros(2)) + of_subdomain
     return {camera: SINGULAR * float(total / n_unknowns) for camera, (total, n_unknowns) in sums.items()}
 
 
-def _measure_alone(model: ResidualModel, hessian: sparse.csr_matrix, q: NDArray[np.float64],
-                   threshold: float) -> NDArray[np.float64]:
-    system = LocalSystem(model.views[0].subdomain, hessian, None, np.zeros(0), 0.0)
-    operator = LocalOperator(hessian, smallest_eigenvalue=threshold, where="independent start")
+def _iterate(model: ResidualModel, system: LocalSystem, smallest_eigenvalue: float, start: Array,
+             tolerances: Tolerances, where: str) -> Array:
+    """Gauss-Newton on one domain: the unknowns of its only subdomain."""
+    operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=where)
     try:
-        step = MonolithicStep(system, operator)
-        return gauss_newton(model, [q], step, TOLERANCES, Progress(PhaseClock(), stay_silent)).q[0]
+        return gauss_newton(model, _as_field(model, start), MonolithicStep(system, operator), tolerances,
+                            Progress(PhaseClock())).q[0]
     finally:
         operator.destroy()
+
+
+def _as_field(model: ResidualModel, unknowns: Array) -> Field:
+    return Field(model.team, model.subdomains, [unknowns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,74 +134,55 @@ class Images:
 
 
 def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances: Tolerances,
-                    starts: Sequence[NDArray[np.float64]], where: str) -> NDArray[np.float64]:
+                    starts: Sequence[Array], where: str) -> Array:
     """Correlate some cells from the best of some starts, with a cut-off wavelength; pixels of the images.
 
     Of ``starts``, at least one displacement of the nodes, (n_dofs,), that of least residual is taken. ``where`` says
     what is measured, for messages. Raises ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError
     where the pixels do not determine the displacement.
     """
-    problem = _read(images, cells)
-    kinematics = problem.subdomain.kinematics
-    candidates = [kinematics.fit(start) for start in starts]
+    model = _read(images, cells)
+    (subdomain,), ((view,),) = model.subdomains, model.views
+    candidates = [subdomain.kinematics.fit(start) for start in starts]
     q = candidates[0]
     if len(candidates) > 1:
-        q = min(candidates, key=lambda candidate: _residual_rms(problem.model, candidate))
-    model = problem.model.with_large_gradients([q])
-    view = problem.view.with_moved_gradient(q) if model.follows else problem.view
-    system = _regularize(replace(problem, view=view), cut_off)
+        q = min(candidates, key=lambda candidate: _residual_rms(model, candidate))
+    model = model.with_large_gradients(_as_field(model, q))
+    system = _regularize(subdomain, view.with_moved_gradient(q) if model.follows else view, cut_off)
     smallest_eigenvalue = SINGULAR_ALONE * float(system.hessian.diagonal().mean())
-    operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=where)
-    try:
-        step = MonolithicStep(system, operator)
-        found = gauss_newton(model, [q], step, tolerances, Progress(PhaseClock(), stay_silent)).q[0]
-    finally:
-        operator.destroy()
-    return kinematics.displacement(found)
+    return subdomain.displacement(_iterate(model, system, smallest_eigenvalue, q, tolerances, where))
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """Cells with their pixels, one subdomain that is all of them."""
-
-    view: View
-    subdomain: Subdomain
-    model: ResidualModel
-    row_weights: NDArray[np.float64]
-
-
-def _read(images: Images, cells: LevelMesh) -> _Problem:
-    everywhere = np.ones(cells.kinematics.n_unknowns, dtype=bool)
+def _read(images: Images, cells: LevelMesh) -> ResidualModel:
+    """The residual on one subdomain that is all cells."""
+    controlled = cells.kinematics.controlled(~cells.on_edge)
     one_domain = np.zeros(cells.mesh.n_cells, dtype=np.int64)
-    subdomain = build_subdomains(cells.kinematics, one_domain, everywhere, cells.interior)[0]
-    row_weights = np.where(cells.kinematics.controlled(~cells.on_edge), 1.0, FREE_EDGE)
+    (subdomain,) = build_subdomains(cells.kinematics, one_domain, controlled, cells.interior)
     correlation = read_correlation(cells.mesh, images.reference, images.degree)
     seen = images.active[images.reference.extent.locate(correlation.reference.window)].copy()
     if correlation.reference.usable is not None:
         seen &= correlation.reference.usable
     # Pixels that are not active lie beside the mesh: neighbours' slopes are taken from them as they are.
     view = View(replace(correlation, reference=replace(correlation.reference, usable=seen)), subdomain.kinematics)
-    frame_view = FrameView(view, DeformedSubImage(images.deformed, images.degree))
-    views = FrameViews(ReferenceViews(subdomain, (view,)), (frame_view,))
-    return _Problem(view, subdomain, ResidualModel(Team.alone(), [views], images.correction), row_weights)
+    in_frame = view.open_frame(DeformedSubImage(images.deformed, images.degree))
+    return ResidualModel(Team.alone(), [subdomain], ByView([[in_frame]]), images.correction)
 
 
-def _regularize(problem: _Problem, cut_off: float) -> LocalSystem:
+def _regularize(subdomain: Subdomain, view: View, cut_off: float) -> LocalSystem:
     """M and Kbar of the cells, with the weight of a cut-off wavelength; the edge counts little."""
-    subdomain, of_nodes = problem.subdomain, problem.view.assemble_hessian()
-    mesh, interior = subdomain.mesh, subdomain.interior
-    kbar = controlled_stiffness(subdomain.kinematics, Material(), problem.row_weights)
+    of_nodes = view.assemble_hessian()
+    waves = ProbeWaves(cut_off, measure_gap_energies(subdomain.mesh, Material(), subdomain.interior, cut_off))
     eta = 0.0
-    if interior.any():
-        texture = measure_texture_energies(mesh.nodes, of_nodes, interior, cut_off)
-        gap = measure_gap_energies(mesh, Material(), interior, cut_off)
-        eta = find_cut_off_weight(texture, gap)
-    return LocalSystem(subdomain, problem.view.project(of_nodes), kbar, np.ones(len(problem.row_weights)), eta)
+    if waves.is_weighable:
+        eta = find_eta(Team.alone(), [subdomain], ByView([[view]]), ByView([[of_nodes]]), waves)
+    of_rows = weigh_rows(subdomain.controlled, FREE_EDGE)
+    kbar = controlled_stiffness(subdomain.kinematics, Material(), of_rows)
+    return LocalSystem(subdomain, view.project(of_nodes), kbar, np.ones(len(of_rows)), eta)
 
 
-def _residual_rms(model: ResidualModel, q: NDArray[np.float64]) -> float:
+def _residual_rms(model: ResidualModel, q: Array) -> float:
     """Root mean square of a start's residual, grey levels; infinite where it leaves no pixel."""
     try:
-        return model.evaluate([q]).grey[0].residual_rms
+        return model.evaluate(_as_field(model, q)).grey[0].residual_rms
     except ConvergenceError:
         return np.inf

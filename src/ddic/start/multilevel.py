@@ -1,4 +1,6 @@
-"""Start of the displacement: rigid FFT correlation, matched features, a coarse-graining pyramid [BP17, Fig. 5].
+"""Start of the displacement: rigid FFT correlation, matched features, a coarse-graining pyramid.
+
+The first is that of [RHR08, section 3.2], the pyramid that of [BP17, section 3.2.2], features are our own.
 
 Runs on one rank, on images binned so far that they are small whatever the camera; every other rank receives the coarse
 field. What surrounds a small region is looked at in smaller blocks. A level of the pyramid is R-DIC on a square grid
@@ -14,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.case.schema import StartSection
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.binned import bin_image, bin_window, join_blocks
@@ -27,7 +30,6 @@ from ddic.solvers.correction_size import Tolerances
 from ddic.start.binned_pair import (
     CELL,
     BinnedPair,
-    PixelPair,
     build_grid,
     choose_block_sizes,
     choose_finest_block,
@@ -110,7 +112,7 @@ thirds beside what the translation takes. A larger value finds larger motions, i
 
 @dataclass(frozen=True)
 class LinesOnLevels:
-    """Lines across which the displacement may be discontinuous, and from which level on [RHR08, section 3].
+    """Lines across which the displacement may be discontinuous, and from which level on [RHR08, section 3.2].
 
     Attributes
     ----------
@@ -129,22 +131,6 @@ class LinesOnLevels:
 
 
 NO_LINES = LinesOnLevels(Discontinuities(), np.inf)
-
-
-@dataclass(frozen=True)
-class Stages:
-    """Which stages of the start are taken.
-
-    Attributes
-    ----------
-    rigid, features, pyramid : bool
-        Whether a rigid translation is sought first, features are matched where that does not explain the
-        region, and the coarse-graining pyramid follows.
-    """
-
-    rigid: bool = True
-    features: bool = True
-    pyramid: bool = True
 
 
 @dataclass(frozen=True)
@@ -169,31 +155,12 @@ class MultilevelStart:
     """
 
     field: CoarseField | KeptResult
-    rigid: tuple[RigidShift, ...]
-    levels: tuple[int, ...]
-    warnings: tuple[str, ...]
+    rigid: tuple[RigidShift, ...] = ()
+    levels: tuple[int, ...] = ()
+    warnings: tuple[str, ...] = ()
     n_matches: int = 0
     n_found: int = 0
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Correlated:
-    """What levels of the pyramid found.
-
-    Attributes
-    ----------
-    field : GridField, CutField or MatchedField
-        That of the finest level that worked, or the first start, pixels.
-    levels : tuple of int
-        Block sizes of the levels that worked, pixels, coarsest first.
-    warnings : tuple of str
-        What did not work.
-    """
-
-    field: CoarseField
-    levels: tuple[int, ...]
-    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,8 +237,11 @@ class Pyramid:
         return MatchedField(matches, region, pieces) if matches.agree else None
 
     def correlate(self, sizes: Sequence[int], starts: Sequence[CoarseField], beside: Sequence[CoarseField],
-                  ) -> Correlated:
+                  ) -> tuple[CoarseField, tuple[int, ...], tuple[str, ...]]:
         """Correlate levels of some block sizes, coarsest first, each from what the one before found.
+
+        Gives the field of the finest level that worked, or the first start, the block sizes of the levels that worked,
+        and what did not work.
 
         The best of ``starts``, at least one, starts the first level. ``beside`` is what a level may start from beside
         what the one before found: a coarse level of a ragged region may have gone astray, and the residual of the next
@@ -287,16 +257,11 @@ class Pyramid:
             else:
                 starts = (field, *beside)
                 done.append(size)
-        return Correlated(starts[0], tuple(done), tuple(warnings))
+        return starts[0], tuple(done), tuple(warnings)
 
 
-def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correction: GreyCorrection,
-                          lines: LinesOnLevels = NO_LINES) -> MultilevelStart:
-    """Find a coarse field on the region of the whole mesh: that of the finest level that worked.
-
-    The images are binned at most as far as ``choose_finest_block`` says.
-    """
-    pyramid = Pyramid(pair, mesh, correction, lines)
+def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
+    """Find a coarse field on the region: that of the finest level that worked, by the stages that are asked for."""
     sizes = pyramid.sizes if stages.pyramid else []
     at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), 1.0, ())
     rigid_start = pyramid.find_rigid() if stages.rigid else at_rest
@@ -310,13 +275,12 @@ def find_multilevel_start(pair: BinnedPair, mesh: Mesh, stages: Stages, correcti
     if matched is not None:
         # From there the finest level finds everything, and coarser ones would smooth it.
         starts, sizes, warnings = (matched, *starts), sizes[-1:], ()
-    found = pyramid.correlate(sizes, starts, rigid_start.fields)
+    field, levels, left_out = pyramid.correlate(sizes, starts, rigid_start.fields)
     n_matches, n_found = (0, 0) if matched is None else (len(matched.matches.points), matched.matches.n_found)
-    return MultilevelStart(found.field, rigid_start.translations, found.levels, (*warnings, *found.warnings), n_matches,
-                           n_found)
+    return MultilevelStart(field, rigid_start.translations, levels, (*warnings, *left_out), n_matches, n_found)
 
 
-def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Stages) -> MultilevelStart | None:
+def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:
     """The same in smaller blocks of what surrounds a small region; None where they are no smaller or show nothing."""
     pixels = pyramid.pair.pixels
     if pixels is None or not can_bin_finer(pixels, pyramid.mesh):
@@ -330,7 +294,7 @@ def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Stag
     lines = replace(pyramid.lines, discontinuities=pyramid.lines.discontinuities.scale(seen.origin, 1.0))
     mesh = move_mesh(pyramid.mesh, -seen.origin)
     try:
-        found = find_multilevel_start(seen.pair, mesh, stages, pyramid.correction, lines)
+        found = find_multilevel_start(Pyramid(seen.pair, mesh, pyramid.correction, lines), stages)
     except ConvergenceError:
         # What repeats itself in smaller blocks may not on the whole image.
         return None
@@ -378,13 +342,13 @@ class Surroundings:
                 f"blocks of {self.pair.factor} px")
 
 
-def can_bin_finer(pixels: PixelPair, mesh: Mesh) -> bool:
+def can_bin_finer(pixels: BinnedPair, mesh: Mesh) -> bool:
     """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on whole images."""
     size = _find_size(pixels)
     return find_finest_level(int(_find_extent(size, mesh).prod())) < find_finest_level(int(size.prod()))
 
 
-def bin_surroundings(pixels: PixelPair, mesh: Mesh, translation: Array) -> Surroundings:
+def bin_surroundings(pixels: BinnedPair, mesh: Mesh, translation: Array) -> Surroundings:
     """Bin what surrounds a region, in blocks as small as those of an image of that size.
 
     ``translation``, (2,), pixels, is about that of the region.
@@ -401,7 +365,7 @@ def bin_surroundings(pixels: PixelPair, mesh: Mesh, translation: Array) -> Surro
     return Surroundings(BinnedPair(parts[0], parts[1], factor), origin.astype(float), (moved - origin).astype(float))
 
 
-def _find_size(pixels: PixelPair) -> NDArray[np.int64]:
+def _find_size(pixels: BinnedPair) -> NDArray[np.int64]:
     """Width and height of both images, pixels."""
     return np.array([pixels.reference.image.width, pixels.reference.image.height])
 

@@ -82,8 +82,7 @@ def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Arra
     places = ((points + displace(points) - pair.centre) / pair.factor)[:, ::-1].T
     f = pair.reference.read_whole()[rows, columns]
     seen = _find_seen(pair.deformed, places)
-    sums = _sum_squares(f, _sample(pair.deformed, places), squares, seen)
-    return _judge(sums, pair.factor)
+    return _judge(*_sum_squares(f, _sample(pair.deformed, places), squares, seen), pair.factor)
 
 
 def _number_squares(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -122,16 +121,9 @@ def _sample(deformed: MaskedSource, places: Array) -> Array:
     return np.stack([grey, *slopes])
 
 
-@dataclass(frozen=True, eq=False)
-class _Sums:
+def _sum_squares(f: Array, g: Array, squares: NDArray[np.int64], seen: NDArray[np.bool_],
+                 ) -> tuple[Array, Array, Array]:
     """Of each square: its blocks, how many are seen, and covariances of f, g, dg/dx, dg/dy, (n, 4, 4)."""
-
-    n_blocks: Array
-    n_seen: Array
-    covariance: Array
-
-
-def _sum_squares(f: Array, g: Array, squares: NDArray[np.int64], seen: NDArray[np.bool_]) -> _Sums:
     n = int(squares.max()) + 1
     n_blocks, own = np.bincount(squares, minlength=n).astype(float), squares[seen]
     n_seen = np.bincount(own, minlength=n).astype(float)
@@ -143,23 +135,23 @@ def _sum_squares(f: Array, g: Array, squares: NDArray[np.int64], seen: NDArray[n
     for i in range(4):
         for j in range(i + 1):
             covariance[:, i, j] = covariance[:, j, i] = np.bincount(own, signals[i] * signals[j], n) / safe
-    return _Sums(n_blocks, n_seen, covariance)
+    return n_blocks, n_seen, covariance
 
 
-def _judge(sums: _Sums, factor: int) -> PredictedError:
-    variance_f, variance_g = sums.covariance[:, 0, 0], sums.covariance[:, 1, 1]
-    held = sums.n_blocks >= FEWEST_BLOCKS
+def _judge(n_blocks: Array, n_seen: Array, covariance: Array, factor: int) -> PredictedError:
+    variance_f, variance_g = covariance[:, 0, 0], covariance[:, 1, 1]
+    held = n_blocks >= FEWEST_BLOCKS
     # Squares that the displacement puts out of the image tell that it is wrong, or that the specimen has left.
-    is_out = held & (sums.n_seen < FEWEST_BLOCKS / 2)
+    is_out = held & (n_seen < FEWEST_BLOCKS / 2)
     told = held & ~is_out
     if told.any():
         told &= variance_f > LEAST_TEXTURE * np.median(variance_f[told])
     product = np.sqrt(variance_f * variance_g)
-    likeness = np.where(product > 0, sums.covariance[:, 0, 1] / np.where(product > 0, product, 1.0), 0.0)
+    likeness = np.where(product > 0, covariance[:, 0, 1] / np.where(product > 0, product, 1.0), 0.0)
     in_reach = told & (likeness >= IN_REACH)
     error = np.full(len(likeness), np.inf)
     if in_reach.any():
-        of_reach = sums.covariance[in_reach]
+        of_reach = covariance[in_reach]
         # f in the grey levels of g.
         gain = np.sqrt(variance_g[in_reach] / variance_f[in_reach])
         right = gain[:, None] * of_reach[:, 0, 2:] - of_reach[:, 1, 2:]
@@ -167,4 +159,4 @@ def _judge(sums: _Sums, factor: int) -> PredictedError:
         step = np.linalg.solve(of_reach[:, 2:, 2:] + ridge[:, None, None] * np.eye(2), right[..., None])[..., 0]
         error[in_reach] = factor * np.linalg.norm(step, axis=1)
     counted = told | is_out
-    return PredictedError(np.where(told, likeness, 0.0)[counted], error[counted], sums.n_blocks[counted])
+    return PredictedError(np.where(told, likeness, 0.0)[counted], error[counted], n_blocks[counted])

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ddic.case.schema import StartSection
 from ddic.images.rigid import GridField, RigidShift, find_rigid_shift
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.mesh import Mesh
@@ -19,7 +20,7 @@ from ddic.mesh.quality import measure_areas
 from ddic.start.binned_pair import BinnedPair, scale_mesh
 from ddic.start.coarse_displacement import CoarseField, CutField
 from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
-from ddic.start.multilevel import SURE, Correlated, MultilevelStart, Pyramid, Stages
+from ddic.start.multilevel import SURE, MultilevelStart, Pyramid
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import FEWEST_BLOCKS, FEWEST_OF_PIECE, LEAST_COEFFICIENT, RigidStart
 
@@ -62,16 +63,7 @@ class _Candidate:
     note: str
 
 
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """Levels to take, coarsest first, and the candidate that is best on the first of them, or on the coarsest."""
-
-    sizes: list[int]
-    best: _Candidate
-    in_reach: bool
-
-
-def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> MultilevelStart:
+def find_start_from_given(given: CutField, pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
     """Find a coarse field from a displacement that is given on the mesh of the region.
 
     Where the images bear it out, nothing is searched; where it is in reach of the finest level, that one follows. Else
@@ -82,45 +74,46 @@ def find_start_from_given(given: CutField, pyramid: Pyramid, stages: Stages) -> 
     predicted = _predict(pyramid, pyramid.finest_size, given)
     share = predicted.measure_share_beyond(RIGHT_PX)
     if share <= WRONG_SHARE:
-        return MultilevelStart(given, (), (), ())
+        return MultilevelStart(given)
     begun = (f"start: that is off by more than {RIGHT_PX:g} px on {share:.0%} of the region (correlation coefficient "
              f"{predicted.coefficient:.2f}); searching on")
     is_in_reach = predicted.measure_share_beyond(np.inf) <= WRONG_SHARE
     # Then nothing else is looked at: on a repetitive texture another translation would look as good.
-    found = pyramid.correlate(pyramid.sizes[-1:] if stages.pyramid and is_in_reach else [], [given], [given])
-    start = MultilevelStart(found.field, (), found.levels, (), notes=(NOTE_IN_REACH,))
-    if not found.levels:
+    sizes = pyramid.sizes[-1:] if stages.pyramid and is_in_reach else []
+    found, levels, _ = pyramid.correlate(sizes, [given], [given])
+    start = MultilevelStart(found, levels=levels, notes=(NOTE_IN_REACH,))
+    if not levels:
         start, found = _search_on(given, pyramid, stages)
-    field = _take_at_nodes(found.field, given.mesh)
+    field = _take_at_nodes(found, given.mesh)
     left = 1 - _predict(pyramid, pyramid.finest_size, field).coefficient
     if left > BETTER * (1 - predicted.coefficient):
         kept = "start: nothing was found that explains the images better; the given displacement is kept"
-        return MultilevelStart(given, (), (), start.warnings, notes=(begun, kept))
+        return MultilevelStart(given, warnings=start.warnings, notes=(begun, kept))
     return replace(start, notes=(begun, *start.notes))
 
 
-def _search_on(given: CutField, pyramid: Pyramid, stages: Stages) -> tuple[MultilevelStart, Correlated]:
-    """The best that is found from a given displacement, that moved on, and rest."""
+def _search_on(given: CutField, pyramid: Pyramid, stages: StartSection) -> tuple[MultilevelStart, CoarseField]:
+    """The best that is found from a given displacement, that moved on, and rest; and its field."""
     rigid = pyramid.find_rigid() if stages.rigid else None
     moved = move_on(given, pyramid.pairs[pyramid.rigid_size]) if stages.rigid else []
     candidates = _list_candidates(given, moved, rigid)
-    choice = _choose_levels(pyramid, candidates)
+    sizes, best, is_in_reach = _choose_levels(pyramid, candidates)
     beside = [candidate.field for candidate in candidates]
-    sizes = choice.sizes if stages.pyramid else []
+    sizes = sizes if stages.pyramid else []
     matched = None
     looks = stages.rigid and stages.features
-    if looks and _predict(pyramid, pyramid.rigid_size, choice.best.field).coefficient < SURE:
+    if looks and _predict(pyramid, pyramid.rigid_size, best.field).coefficient < SURE:
         matched = pyramid.matched
     if matched is not None:
-        found = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
-        return MultilevelStart(found.field, (), found.levels, found.warnings, len(matched.matches.points),
-                               matched.matches.n_found, (NOTE_OF_FEATURES,)), found
-    starts = [choice.best.field] if choice.in_reach else [choice.best.field, *beside]
-    found = pyramid.correlate(sizes, starts, beside)
-    is_from_nothing = rigid is not None and any(choice.best.field is field for field in rigid.fields)
+        field, levels, warnings = pyramid.correlate(sizes[-1:], [matched, *beside], beside)
+        return MultilevelStart(field, (), levels, warnings, len(matched.matches.points), matched.matches.n_found,
+                               (NOTE_OF_FEATURES,)), field
+    starts = [best.field] if is_in_reach else [best.field, *beside]
+    field, levels, warnings = pyramid.correlate(sizes, starts, beside)
+    is_from_nothing = rigid is not None and any(best.field is field for field in rigid.fields)
     translations = rigid.translations if rigid is not None and is_from_nothing else ()
-    note = choice.best.note if choice.in_reach else NOTE_OUT_OF_REACH
-    return MultilevelStart(found.field, translations, found.levels, found.warnings, notes=(note,)), found
+    note = best.note if is_in_reach else NOTE_OUT_OF_REACH
+    return MultilevelStart(field, translations, levels, warnings, notes=(note,)), field
 
 
 def _take_at_nodes(field: CoarseField, mesh: Mesh) -> GridField | CutField:
@@ -147,16 +140,19 @@ def _list_candidates(given: CutField, moved: Sequence[MovedOn], rigid: RigidStar
     return candidates
 
 
-def _choose_levels(pyramid: Pyramid, candidates: Sequence[_Candidate]) -> _Choice:
-    """The finest level in whose reach a candidate is, and those below it; all where none is."""
+def _choose_levels(pyramid: Pyramid, candidates: Sequence[_Candidate]) -> tuple[list[int], _Candidate, bool]:
+    """The finest level in whose reach a candidate is, and those below it, coarsest first; all where none is.
+
+    Beside them the candidate that is best on the first of them, or on the coarsest, and whether it is in reach.
+    """
     best = candidates[0]
     for size in reversed(pyramid.sizes or [pyramid.finest_size]):
         predicted = [_predict(pyramid, size, candidate.field) for candidate in candidates]
         number = int(np.argmax([of_one.coefficient for of_one in predicted]))
         best = candidates[number]
         if predicted[number].measure_share_beyond(np.inf) <= OUT_OF_REACH:
-            return _Choice([level for level in pyramid.sizes if level <= size], best, in_reach=True)
-    return _Choice(pyramid.sizes, best, in_reach=False)
+            return [level for level in pyramid.sizes if level <= size], best, True
+    return pyramid.sizes, best, False
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,52 +171,44 @@ class MovedOn:
     translations: tuple[RigidShift, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Brought:
-    """The reference image as the given displacement puts it into the deformed one, and the piece of each block."""
-
-    grey: Array
-    pieces: NDArray[np.int64]
-
-
 def move_on(given: CutField, pair: BinnedPair) -> list[MovedOn]:
     """Find the translations between a reference image displaced as given and the deformed one.
 
     Returns each piece moved by its own translation, where there are several pieces and one finds its own, then the
     region by one; none where nothing stands out.
     """
-    brought = _bring(given, pair)
+    grey, pieces = _bring(given, pair)
     deformed = pair.deformed.read_whole()
     found = []
-    whole = _find_shift(brought, deformed, brought.pieces >= 0, FEWEST_BLOCKS, pair.factor)
-    n_pieces = int(brought.pieces.max(initial=-1)) + 1
+    whole = _find_shift(grey, deformed, pieces >= 0, FEWEST_BLOCKS, pair.factor)
+    n_pieces = int(pieces.max(initial=-1)) + 1
     of_pieces = {}
     for piece in range(n_pieces if n_pieces > 1 else 0):
-        shift = _find_shift(brought, deformed, brought.pieces == piece, FEWEST_OF_PIECE, pair.factor)
+        shift = _find_shift(grey, deformed, pieces == piece, FEWEST_OF_PIECE, pair.factor)
         if shift is not None:
             of_pieces[piece] = shift
     if of_pieces:
         by_node = np.tile((0.0, 0.0) if whole is None else whole.shift, (given.mesh.n_nodes, 1))
-        pieces = find_piece_of_nodes(given.mesh)
+        piece_of_node = find_piece_of_nodes(given.mesh)
         for piece, shift in of_pieces.items():
-            by_node[pieces == piece] = shift.shift
+            by_node[piece_of_node == piece] = shift.shift
         found.append(MovedOn(CutField(given.mesh, given.displacement + by_node), tuple(of_pieces.values())))
     if whole is not None:
         found.append(MovedOn(CutField(given.mesh, given.displacement + np.array(whole.shift)), (whole,)))
     return found
 
 
-def _find_shift(brought: _Brought, deformed: Array, blocks: NDArray[np.bool_], fewest: float,
+def _find_shift(grey: Array, deformed: Array, blocks: NDArray[np.bool_], fewest: float,
                 factor: int) -> RigidShift | None:
     """Translation of some blocks, pixels; None where it does not stand out."""
     if blocks.sum() < fewest:
         return None
-    found = find_rigid_shift(brought.grey, deformed, blocks)
+    found = find_rigid_shift(grey, deformed, blocks)
     return found.scale(factor) if found.coefficient >= LEAST_COEFFICIENT else None
 
 
-def _bring(given: CutField, pair: BinnedPair) -> _Brought:
-    """Displace the reference image."""
+def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, NDArray[np.int64]]:
+    """The reference image as the given displacement puts it into the deformed one, and the piece of each block."""
     before = scale_mesh(given.mesh, pair.factor)
     after = Mesh(before.nodes + given.displacement / pair.factor, before.connectivity, before.offsets, before.types)
     # Torn and folded cells would cover everything.
@@ -229,7 +217,7 @@ def _bring(given: CutField, pair: BinnedPair) -> _Brought:
     pieces = np.full((height, width), -1, dtype=np.int64)
     grey = np.zeros((height, width))
     if not kept.size:
-        return _Brought(grey, pieces)
+        return grey, pieces
     drawn, nodes = after.create_submesh(kept)
     y, x = np.mgrid[0:height, 0:width].astype(float)
     located = locate(drawn, np.column_stack([x.ravel(), y.ravel()]))
@@ -245,7 +233,7 @@ def _bring(given: CutField, pair: BinnedPair) -> _Brought:
         counted = usable[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] > 0
     of_cells = find_pieces(given.mesh)[kept]
     pieces.reshape(-1)[inside] = np.where(counted, of_cells[located.cells[inside]], -1)
-    return _Brought(grey, pieces)
+    return grey, pieces
 
 
 def _find_drawn(before: Mesh, after: Mesh) -> NDArray[np.bool_]:

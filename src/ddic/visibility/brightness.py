@@ -7,7 +7,7 @@ interpolated between them, tell its slope.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyCorrection, find_weighted_median
 from ddic.functionals.view import FrameView
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
-from ddic.mesh.mesh import Mesh
+from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.raster import list_pixels
 from ddic.parallel.distribution import sum_shared_nodes
+from ddic.parallel.field import ByView, add_views
 from ddic.problem.residual_model import ResidualModel
 from ddic.visibility.seen_cells import SeenCells, TypicalCell
 
@@ -57,43 +58,31 @@ ORDER: tuple[GreyCorrection, ...] = ("none", "global", "element")
 """From the simplest on."""
 
 
-def match_brightness(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]],
+def match_brightness(whole: ResidualModel, seen: ByView[SeenCells],
                      typical: Mapping[int, TypicalCell]) -> ResidualModel:
     """Give the reference images the slopes of the light in a frame, of which ``whole`` has all pixels; collective."""
-    subdomains = [of_subdomain.subdomain for of_subdomain in whole.views]
-    by_camera = [{view.camera: cells for view, cells in zip(of_subdomain.views, of_views, strict=True)}
-                 for of_subdomain, of_views in zip(whole.views, seen, strict=True)]
-    sums = [_sum_offsets(subdomain.mesh, whole.n_cameras, cells, typical)
-            for subdomain, cells in zip(subdomains, by_camera, strict=True)]
-    totals = sum_shared_nodes(whole.team, subdomains, sums)
-
-    def even() -> list[tuple[FrameView, ...]]:
-        return [tuple(_even_out(view, total, typical[view.camera]) for view in of_subdomain.views)
-                for of_subdomain, total in zip(whole.views, totals, strict=True)]
-
-    views = whole.team.together(even)
-    return replace(whole, views=[replace(of_subdomain, views=evened)
-                                 for of_subdomain, evened in zip(whole.views, views, strict=True)])
+    sums = whole.views.map(lambda view, cells: _sum_offsets(view, cells, typical[view.camera], whole.n_cameras), seen)
+    totals = sum_shared_nodes(whole.team, whole.subdomains, add_views(sums))
+    views = whole.team.together(lambda: whole.views.map(
+        lambda view, total: _even_out(view, total, typical[view.camera]), whole.views.fill(totals)))
+    return replace(whole, views=views)
 
 
-def _sum_offsets(mesh: Mesh, n_cameras: int, seen: Mapping[int, SeenCells],
-                 typical: Mapping[int, TypicalCell]) -> Array:
+def _sum_offsets(view: FrameView, cells: SeenCells, typical: TypicalCell, n_cameras: int) -> Array:
     """Pixels of the cells about each node, and the sum of their offsets, (n_nodes, 2 n_cameras), by camera."""
+    mesh = view.correlation.mesh
     sums = np.zeros((mesh.n_nodes, 2 * n_cameras))
-    n_corners = np.diff(mesh.offsets)
-    for camera, cells in seen.items():
-        of_most = typical[camera]
-        expected = of_most.contrast / max(of_most.contrast + of_most.noise, 1e-300)
-        n_pixels = np.where(cells.coefficient >= SEEN * expected, cells.n_pixels, 0.0)
-        offsets = cells.mean_f - of_most.gain * cells.mean_g - of_most.offset
-        for column, of_cells in ((2 * camera, n_pixels), (2 * camera + 1, n_pixels * offsets)):
-            sums[:, column] = np.bincount(mesh.connectivity, np.repeat(of_cells, n_corners), minlength=mesh.n_nodes)
+    expected = typical.contrast / max(typical.contrast + typical.noise, 1e-300)
+    n_pixels = np.where(cells.coefficient >= SEEN * expected, cells.n_pixels, 0.0)
+    offsets = cells.mean_f - typical.gain * cells.mean_g - typical.offset
+    sums[:, 2 * view.camera] = sum_about_nodes(mesh, n_pixels)
+    sums[:, 2 * view.camera + 1] = sum_about_nodes(mesh, n_pixels * offsets)
     return sums
 
 
 def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
     """A view whose f has the light of g."""
-    correlation, place = view.view.correlation, 2 * view.camera
+    correlation, place = view.correlation, 2 * view.camera
     n_pixels, total = sums[:, place], sums[:, place + 1]
     light = total / np.maximum(n_pixels, 1.0)
     mesh = correlation.mesh
@@ -111,8 +100,7 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
     located = place_in_cells(mesh, cells, pixels.astype(np.float64))
     at_pixels = interpolate_located(mesh, light[:, None], located)[:, 0]
     removed[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = at_pixels
-    evened = replace(correlation, reference=image.correct_light(removed))
-    return replace(view, view=replace(view.view, correlation=evened))
+    return replace(view, correlation=replace(correlation, reference=image.correct_light(removed)))
 
 
 def choose_correction(cells: Mapping[int, SeenCells], typical: Mapping[int, TypicalCell],

@@ -17,11 +17,11 @@ from scipy.sparse.csgraph import connected_components
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import find_weighted_median
 from ddic.functionals.view import View
-from ddic.mesh.mesh import Mesh, pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.team import Team
+from ddic.partition.subdomain import Subdomain
 from ddic.problem.renewal import find_displaced_nodes, find_free_unknowns, find_held
 from ddic.problem.residual_model import Evaluation
-from ddic.problem.views import FrameViews
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
 
@@ -93,7 +93,8 @@ def measure_cell_residuals(view: View, hessian: sparse.csr_matrix, residual: Res
 def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
     """Mean of |grad f|^2 about each cell: M holds it by node, since the shape functions of a cell sum to 1."""
     mesh = view.correlation.mesh
-    pixels = _share_among_nodes(mesh, view.count_pixels().astype(float))
+    # Spread evenly over the nodes of each cell.
+    pixels = sum_about_nodes(mesh, view.count_pixels() / np.diff(mesh.offsets))
     energy = np.zeros(mesh.n_nodes)
     for axis in range(2):
         translation = np.zeros(mesh.nodes.shape)
@@ -102,13 +103,6 @@ def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
     corners = pad_cells(mesh)
     of_cells, n_pixels = energy[corners].sum(axis=1), pixels[corners].sum(axis=1)
     return np.divide(of_cells, n_pixels, out=np.zeros(mesh.n_cells), where=n_pixels > 0)
-
-
-def _share_among_nodes(mesh: Mesh, of_cells: Array) -> Array:
-    """Sum over cells of their number, spread evenly over their nodes, (n_nodes,)."""
-    n_corners = np.diff(mesh.offsets)
-    shares = np.repeat(of_cells / n_corners, n_corners)
-    return np.asarray(np.bincount(mesh.connectivity, weights=shares, minlength=mesh.n_nodes), dtype=np.float64)
 
 
 def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[CellErrors]:
@@ -183,9 +177,8 @@ def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> l
         return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
     unseen = []
     for subdomain, of_views in zip(subdomains, evaluation.residuals, strict=True):
-        counts = tuple(residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views)
-        unseen.append(~find_held(subdomain, counts))
-    free = np.array(sorted(find_free_unknowns(problem.team, subdomains, unseen)), dtype=np.int64)
+        unseen.append(~find_held(subdomain, [residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views]))
+    free = find_free_unknowns(problem.team, subdomains, unseen)
     return [find_displaced_nodes(subdomain, np.isin(subdomain.kinematics.numbers, free)) for subdomain in subdomains]
 
 
@@ -199,31 +192,31 @@ REASONS = {SPOILT: f"{OTHER_THAN_REFERENCE} and are excluded", BLANK: "have no t
                      "regularization.cut_off_wavelength follows these"}
 
 
-def describe_exclusions(team: Team, views: Sequence[FrameViews], excluded: Exclusions) -> tuple[str, ...]:
+def describe_exclusions(team: Team, subdomains: Sequence[Subdomain], excluded: Exclusions) -> tuple[str, ...]:
     """Say for the log how many cells and pixels are excluded, why and where, if any are; collective."""
-    n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in views))
+    n_cells = team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
     lines = []
     for reason, why in REASONS.items():
-        found = team.gather_lists([_bound_cells(of_subdomain, states[0] == reason)
-                                   for of_subdomain, states in zip(views, excluded.cells, strict=True)])
+        found = team.gather_lists([_bound_cells(subdomain, states[0] == reason)
+                                   for subdomain, states in zip(subdomains, excluded.cells, strict=True)])
         boxes, corners = (np.concatenate(parts) for parts in zip(*found, strict=True))
         if len(boxes):
             lines.append(f"{len(boxes)} of {n_cells} cells {why} (cell field \"excluded\"): "
                          + "; ".join(_name_places(boxes, corners)))
-    n_pixels = team.sum(sum(len(spots) for of_subdomain in excluded.pixels for spots in of_subdomain))
+    n_pixels = team.sum(sum(len(spots) for spots in excluded.pixels.flat))
     if n_pixels:
         lines.append(f"{n_pixels} pixels of other cells {OTHER_THAN_REFERENCE} and are excluded")
     return tuple(lines)
 
 
-def _bound_cells(of_subdomain: FrameViews, chosen: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
+def _bound_cells(subdomain: Subdomain, chosen: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
     """Of some cells: first and last column, first and last row, (n, 4), pixels; and their nodes' numbers, (n, 4)."""
-    mesh = of_subdomain.subdomain.mesh
+    mesh = subdomain.mesh
     nodes = pad_cells(mesh)[chosen]
     corners = mesh.nodes[nodes]
     low, high = corners.min(axis=1), corners.max(axis=1)
     boxes = np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
-    return boxes, of_subdomain.subdomain.node_ids[nodes]
+    return boxes, subdomain.node_ids[nodes]
 
 
 def _name_places(boxes: Array, corners: NDArray[np.int64]) -> list[str]:

@@ -1,20 +1,33 @@
-"""The noise of the images, and what it does to b: right-hand sides that have its covariance.
+"""The noise of the images, and what it does to b: how strongly it acts, and right-hand sides that have its covariance.
 
-The noise is given, or that of images at rest, which count as white, or the residual as it is.
+The noise is given, or that of images at rest, which count as white, or the residual as it is, white or not.
+
+The residual r = f - a g(x + u) - b leaves in each cell e the forces b_e = sum N^T grad f r. Were its pixels
+independent, with variance v, these had the covariance v M_e. A residual whose neighbours go together (interpolation,
+JPEG, blur, a displacement that elements cannot follow), or whose pixels of steep gradients have other noise than the
+rest (clipping), acts more or less strongly than its variance s^2 says. How much is measured, for b_e^T M_e^-1 b_e has
+the expectation v times the number of components of b_e that the field has not made 0:
+
+    v = sum_e b_e^T M_e^-1 b_e / (sum_e rank M_e - tr(A^-1 M)).
+
+A white residual has v = s^2. Noise of f is in grad f, too. It makes M larger by NOISE_OF_SLOPE sigma_f^2 sum N^T N,
+which is no texture: forces change with the displacement by theta M only, so that the field errs 1 / theta times as
+much.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
-from ddic.functionals.correlation import Residual, map_hessians
+from ddic.functionals.correlation import Residual
 from ddic.functionals.noise_transfer import (
     TransferTable,
     build_transfer,
@@ -23,25 +36,191 @@ from ddic.functionals.noise_transfer import (
     find_cell_transfer,
 )
 from ddic.functionals.view import FrameView, View
-from ddic.images.noise import BLOCK, REACH, estimate_rest_noise
+from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, REACH, estimate_rest_noise
 from ddic.images.window import Window
 from ddic.io.image_file import hold_image
 from ddic.mesh.quality import measure_covered_areas
-from ddic.parallel.team import Team, require_held
+from ddic.parallel.field import ByView, Field, add_views
+from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
-from ddic.visibility.force_noise import ForceNoise
 
 Array = NDArray[np.float64]
 
 GIVEN, OF_REST, OF_RESIDUAL = "given", "of the images at rest", "estimated from the residual"
 
-
 FEW_PIXELS = 64.0
 """Pixels of a cell whose residual tells half of its own noise, the mean over all cells the other half: the mean square
 of so many is known to 18 %."""
+
+MOST_CELLS = 1000
+"""Cells that are measured, spread over the mesh: v is then known to 2 %, for a pass over their pixels."""
+
+LEAST_TEXTURE = 0.2
+"""Share of M that is taken for texture at least: where nearly all of it is noise, nothing is measured."""
+
+REGULARIZED = 0.75
+"""Power of 1 / theta by which a regularized field errs more: modes longer than l_c err by 1 / theta, shorter ones not
+at all, and over the plane the integral of k dk / (theta + k^4)^2 goes with theta^-3/2."""
+
+OF_SHAPES = 0.56
+"""Share of the unknowns that quadrangles are determined by which is not their cells' translation."""
+
+FEW_FREE = 20.0
+"""Components of forces that tell as much as the expectation that a residual is white: by so many v is known to 30 %."""
+
+SINGULAR = 1e-6
+"""Eigenvalue of M_e, relative to its largest one, up to which it is 0."""
+
+TINY = 1e-300
+"""A variance, grey levels squared, below any that is not 0."""
+
+
+@dataclass(frozen=True)
+class ForceNoise:
+    """Noise of the residual as it acts on displacements.
+
+    Attributes
+    ----------
+    excess : float
+        v / s^2: the variance of its forces over that which pixels independent of each other would leave, no unit.
+    variance : float
+        s^2, of its pixels, what the field has taken from them put back, grey levels squared.
+    texture : float
+        theta, share of M that is texture, no unit.
+    amplification : float
+        By which the field errs more than A^-1 says, since a part of M is noise, no unit.
+    """
+
+    excess: float
+    variance: float
+    texture: float
+    amplification: float
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of white noise of both images that would leave the same field, grey levels."""
+        return float(self.amplification * np.sqrt(0.5 * self.excess * self.variance))
+
+
+def measure_force_noise(model: ResidualModel, evaluation: Evaluation, q: Field, n_determined: float, *,
+                        is_regularized: bool, bias: Sequence[Array] | None = None) -> ForceNoise:
+    """Measure how strongly the residual of the first camera acts on displacements; collective.
+
+    The result is the same on all ranks and for any partition. ``n_determined`` is tr(A^-1 M): how many unknowns the
+    images determine, all of them without a regularization; ``is_regularized`` says whether mechanics determine the
+    others. ``bias`` is the field less the true one, as far as regularization makes the difference, pixels: forces that
+    hold it are no noise. Where it is not given, forces that move a cell as a whole are left out, in which most of it
+    is.
+    """
+    team, state = model.team, evaluation.grey[0]
+    n_cells = team.sum(sum(subdomain.mesh.n_cells for subdomain in model.subdomains))
+    stride = n_cells // MOST_CELLS + 1
+    is_biased = is_regularized and bias is None
+    typical = max(state.residual_std**2, TINY)
+
+    def measure() -> list[Array]:
+        found = []
+        owned = zip(model.subdomains, model.views, evaluation.residuals, q, strict=True)
+        for number, (subdomain, (own, *_), (residual, *_), q_s) in enumerate(owned):
+            correction = model.find_correction(evaluation, own.camera, residual)
+            is_sampled = subdomain.cell_ids % stride == 0
+            is_sampled &= residual.cell_sums.n_pixels > 0
+            cells = _CellForces.compute(own, residual, correction, is_sampled, q_s, follows=model.follows)
+            if bias is not None:
+                cells = cells.without_bias(own, bias[number])
+            found.append(cells.add_up(own, residual, correction, q_s, typical, without_translations=is_biased))
+        return found
+
+    sums = _Sums(*team.ordered_sum(team.together(measure)))
+    taken = n_determined / n_cells * (OF_SHAPES if is_biased else 1.0)
+    n_free = max(sums.ranks - taken * sums.variances, 0.0)
+    # Where so few are free that chance rules them the residual counts as white.
+    white = FEW_FREE * sums.variances / max(sums.n_cells, 1.0)
+    excess = (sums.energies + white) / (n_free + white) if white > 0 else 1.0
+    variance = state.residual_std**2 / max(1.0 - n_determined / max(state.n_pixels, 1), TINY)
+    of_reference = variance / (1.0 + sums.transfer / max(sums.n_pixels, 1.0))
+    of_noise = of_reference * sums.noise_of_slopes / max(sums.slopes, TINY)
+    texture = float(np.clip(1.0 - of_noise, LEAST_TEXTURE, 1.0))
+    power = REGULARIZED if is_regularized else 1.0
+    return ForceNoise(float(excess), float(variance), texture, texture**-power)
+
+
+class _Sums(NamedTuple):
+    """Sums over sampled cells, weighted by 1 / (s_e^2 + s^2), so that a few of large residuals do not rule them."""
+
+    energies: float
+    """Of b_e^T M_e^-1 b_e."""
+    ranks: float
+    """Of s_e^2 rank M_e."""
+    variances: float
+    """Of s_e^2."""
+    n_cells: float
+    n_pixels: float
+    slopes: float
+    """Of |grad f|^2, not weighted."""
+    noise_of_slopes: float
+    """What noise of one grey level adds to it."""
+    transfer: float
+    """Variance of g's noise after interpolation and gain over that before, of each pixel, not weighted."""
+
+
+@dataclass(frozen=True, eq=False)
+class _CellForces:
+    """Forces of some cells of a subdomain, and how they depend on its nodes.
+
+    Attributes
+    ----------
+    numbers : (n,) array
+        Of the cells.
+    hessians, forces : (n, 8, 8) and (n, 8) array
+        M_e and b_e.
+    """
+
+    numbers: NDArray[np.int64]
+    hessians: Array
+    forces: Array
+
+    @classmethod
+    def compute(cls, own: FrameView, residual: Residual, correction: tuple[Array, Array], is_sampled: NDArray[np.bool_],
+                q: Array, *, follows: bool) -> _CellForces:
+        """At a field, with the gradient that it is sought with."""
+        view = own.confine(is_sampled).without_hidden(q)
+        correlation = (view.with_moved_gradient(q) if follows else view).correlation
+        numbers = np.flatnonzero(is_sampled)
+        return cls(numbers, correlation.compute_cell_hessians()[numbers],
+                   correlation.compute_cell_forces(numbers, residual, *correction))
+
+    def without_bias(self, own: FrameView, bias: Array) -> _CellForces:
+        """The same at the field without its bias."""
+        at_corners = own.kinematics.displacement(bias)[own.correlation.interpolation.cell_dofs[self.numbers]]
+        return replace(self, forces=self.forces + np.einsum("eij,ej->ei", self.hessians, at_corners))
+
+    def add_up(self, own: FrameView, residual: Residual, correction: tuple[Array, Array], q: Array, typical: float, *,
+               without_translations: bool) -> Array:
+        """What they tell, in the order of _Sums; ``typical`` is the variance of the residual."""
+        values, vectors = np.linalg.eigh(self.hessians)
+        is_held = values > SINGULAR * values[:, -1:]
+        along = np.einsum("eji,ej->ei", vectors, self.forces)
+        energies = np.divide(along**2, values, out=np.zeros_like(values), where=is_held).sum(axis=1)
+        ranks = is_held.sum(axis=1)
+        translations = self.hessians.reshape(-1, 4, 2, 4, 2).sum(axis=(1, 3))
+        if without_translations:
+            whole = self.forces.reshape(-1, 4, 2).sum(axis=1)
+            energies -= np.einsum("ei,ei->e", whole, (np.linalg.pinv(translations) @ whole[..., None])[..., 0])
+            ranks = np.maximum(ranks - 2, 0)
+        degree = own.deformed.degree
+        transfers = find_cell_transfer(build_white_transfer(degree), own, q, self.numbers)[:, 0]
+        gain = np.broadcast_to(correction[0], len(residual.cell_sums.n_pixels))[self.numbers]
+        _, squares = residual.cell_sums.sum_residual(*correction)
+        n = residual.cell_sums.n_pixels[self.numbers]
+        variances = squares[self.numbers] / n
+        weights = 1.0 / (variances + typical)
+        slopes = translations.trace(axis1=1, axis2=2)
+        return np.array([weights @ energies, weights @ (variances * ranks), weights @ variances, len(n), n.sum(),
+                         slopes.sum(), 2.0 * NOISE_OF_SLOPE[degree] * n.sum(), n @ (gain**2 * transfers)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +229,8 @@ class NoiseForces:
 
     Attributes
     ----------
-    views : list of list of (View, SampledCells)
-        Of each owned subdomain.
+    views, cells : ByView of View and of SampledCells
+        Of owned subdomains.
     n_samples : int
         How many may be generated: all of them have the covariance of b.
     transfer : float
@@ -59,17 +238,17 @@ class NoiseForces:
         its excess. No unit.
     """
 
-    views: list[list[tuple[View, SampledCells]]]
+    views: ByView[FrameView]
+    cells: ByView[SampledCells]
     n_samples: int
     transfer: float
 
     def generate(self, sample: int) -> list[Array]:
         """Generate b_s of all owned subdomains, grey levels squared per pixel, from sample 0 to n_samples - 1."""
-        return [np.sum([_assemble(view, cells.generate_forces(sample)) for view, cells in of_subdomain], axis=0)
-                for of_subdomain in self.views]
+        return add_views(self.views.map(lambda view, cells: _assemble(view, cells.generate_forces(sample)), self.cells))
 
 
-def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Sequence[Array], noise: Sequence[float],
+def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Field, noise: Sequence[float],
                          case: Case) -> NoiseForces:
     """Find the covariance of b, sigma_f^2 M + sigma_g^2 C M C cell by cell; collective.
 
@@ -79,21 +258,23 @@ def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Sequen
     of each camera's images, grey levels.
     """
     team, tables = model.team, _tabulate_by_camera(model, case.correlation.spline_degree)
-    transfers = team.together(lambda: [[find_cell_transfer(tables[view.camera], view.view, q_s)
-                                        for view in of_subdomain.views]
-                                       for of_subdomain, q_s in zip(model.views, q, strict=True)])
-    covariances = team.together(lambda: [
-        [_weigh_noise(_compute_hessians(model, view, q_s), noise[view.camera],
-                      _find_gain(model, evaluation, view, residual) * c)
-         for view, residual, c in zip(of_subdomain.views, residuals, of_views, strict=True)]
-        for of_subdomain, residuals, of_views, q_s
-        in zip(model.views, evaluation.residuals, transfers, q, strict=True)])
+    at = model.views.fill(q)
+    transfers = team.together(lambda: model.views.map(
+        lambda view, q_s: find_cell_transfer(tables[view.camera], view, q_s), at))
+
+    def weigh(view: FrameView, residual: Residual, transfer: Array, q_s: Array) -> Array:
+        gain, _ = model.find_correction(evaluation, view.camera, residual)
+        # Of one camera, or of each cell.
+        of_g = np.atleast_1d(gain)[:, None] ** 2 * transfer
+        return _weigh_noise(_compute_hessians(model, view, q_s), noise[view.camera], of_g)
+
+    covariances = team.together(lambda: model.views.map(weigh, evaluation.residuals, transfers, at))
     total, n_values = team.ordered_sum([np.array([sum(c.sum() for c in of_views), sum(c.size for c in of_views)])
                                         for of_views in transfers])
     return _sample(model, covariances, case, float(total / n_values))
 
 
-def prepare_residual_forces(model: ResidualModel, evaluation: Evaluation, q: Sequence[Array], noise: ForceNoise,
+def prepare_residual_forces(model: ResidualModel, evaluation: Evaluation, q: Field, noise: ForceNoise,
                             case: Case) -> NoiseForces:
     """Find the covariance of b that the residual of one camera makes, white or not, v_e M_e cell by cell; collective.
 
@@ -102,34 +283,26 @@ def prepare_residual_forces(model: ResidualModel, evaluation: Evaluation, q: Seq
     """
     factor = noise.excess * noise.amplification**2
 
-    def multiply() -> list[list[Array]]:
-        covariances = []
-        for of_subdomain, residuals, q_s in zip(model.views, evaluation.residuals, q, strict=True):
-            own, residual = of_subdomain.views[0], residuals[0]
-            _, squares = residual.cell_sums.sum_residual(*model.find_correction(evaluation, own.camera, residual))
-            n = residual.cell_sums.n_pixels
-            variances = (squares + FEW_PIXELS * noise.variance) / (n + FEW_PIXELS)
-            covariances.append([factor * variances[:, None, None] * _compute_hessians(model, own, q_s)])
-        return covariances
+    def multiply(view: FrameView, residual: Residual, q_s: Array) -> Array:
+        _, squares = residual.cell_sums.sum_residual(*model.find_correction(evaluation, view.camera, residual))
+        n = residual.cell_sums.n_pixels
+        variances = (squares + FEW_PIXELS * noise.variance) / (n + FEW_PIXELS)
+        return np.asarray(factor * variances[:, None, None] * _compute_hessians(model, view, q_s))
 
-    return _sample(model, model.team.together(multiply), case, noise.excess)
+    covariances = model.team.together(lambda: model.views.map(multiply, evaluation.residuals, model.views.fill(q)))
+    return _sample(model, covariances, case, noise.excess)
 
 
-def _sample(model: ResidualModel, covariances: Sequence[Sequence[Array]], case: Case, transfer: float) -> NoiseForces:
-    """Right-hand sides whose covariance is given cell by cell, for each owned subdomain and view; collective."""
+def _sample(model: ResidualModel, covariances: ByView[Array], case: Case, transfer: float) -> NoiseForces:
+    """Right-hand sides whose covariance is given cell by cell, for each view; collective."""
     n_samples = FEWEST_SAMPLES if case.regularization is None else MOST_SAMPLES
-    places = place_cells(model.team, [of_subdomain.subdomain for of_subdomain in model.views])
-    views = [[(view.view, prepare_samples(of_view, of_subdomain.subdomain.cell_ids, of_cells, view.camera, n_samples))
-              for view, of_view in zip(of_subdomain.views, of_views, strict=True)]
-             for of_subdomain, of_views, of_cells in zip(model.views, covariances, places, strict=True)]
-    return NoiseForces(views, n_samples, transfer)
+    places = place_cells(model.team, model.subdomains)
 
+    def prepare(view: FrameView, of_view: Array, subdomain: Subdomain, of_cells: NDArray[np.int64]) -> SampledCells:
+        return prepare_samples(of_view, subdomain.cell_ids, of_cells, view.camera, n_samples)
 
-def find_white_transfer(model: ResidualModel, q: Sequence[Array], degree: int) -> list[list[Array]]:
-    """Find the variance of the deformed image's interpolated noise over that of its pixels by cell; degree 3 or 5."""
-    table = build_white_transfer(degree)
-    return [[find_cell_transfer(table, view.view, q_s)[:, 0] for view in of_subdomain.views]
-            for of_subdomain, q_s in zip(model.views, q, strict=True)]
+    cells = model.views.map(prepare, covariances, model.views.fill(model.subdomains), model.views.fill(places))
+    return NoiseForces(model.views, cells, n_samples, transfer)
 
 
 def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[NDArray[np.int64]]:
@@ -144,33 +317,20 @@ def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[NDArray[np.
 
 def _tabulate_by_camera(model: ResidualModel, degree: int) -> list[TransferTable]:
     """Noise transfer of the texture that each camera sees; collective."""
-    def correlate() -> list[Array]:
-        by_subdomain = []
-        for of_subdomain in model.views:
-            sums = np.zeros((model.n_cameras, 2, 2 * REACH + 1, 2 * REACH + 1))
-            for view in of_subdomain.views:
-                sums[view.camera] += correlate_slopes(view.view.correlation)
-            by_subdomain.append(sums)
-        return by_subdomain
 
-    total = model.team.ordered_sum(model.team.together(correlate))
+    def correlate(view: FrameView) -> Array:
+        sums = np.zeros((model.n_cameras, 2, 2 * REACH + 1, 2 * REACH + 1))
+        sums[view.camera] = correlate_slopes(view.correlation)
+        return sums
+
+    total = model.team.ordered_sum(add_views(model.team.together(lambda: model.views.map(correlate))))
     return [build_transfer(of_camera, degree) for of_camera in total]
 
 
-def _find_gain(model: ResidualModel, evaluation: Evaluation, view: FrameView, residual: Residual) -> Array:
-    """Square of the gain by which each cell's g is multiplied, (1, 1) or (n_cells, 1)."""
-    gain, _ = model.find_correction(evaluation, view.camera, residual)
-    return np.asarray(np.atleast_1d(gain)[:, None] ** 2)
-
-
-def _compute_hessians(model: ResidualModel, frame_view: FrameView, q: Array) -> Array:
+def _compute_hessians(model: ResidualModel, view: FrameView, q: Array) -> Array:
     """M of each cell, (n_cells, n, n), of the pixels that are shown."""
-    correlation = frame_view.without_hidden(q).correlation
-    hessians = correlation.compute_cell_hessians()
-    if model.follows:
-        inverse = frame_view.view.with_moved_gradient(q).correlation.inverse_deformations
-        hessians = map_hessians(require_held(inverse), hessians)
-    return hessians
+    shown = view.without_hidden(q)
+    return (shown.with_moved_gradient(q) if model.follows else shown).correlation.compute_cell_hessians()
 
 
 def _weigh_noise(hessians: Array, sigma: float, transfer: Array) -> Array:
@@ -204,7 +364,7 @@ class ImageNoise:
 
 
 def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
-                     q: Sequence[Array]) -> ImageNoise:
+                     q: Field) -> ImageNoise:
     """Find the noise of the images; collective.
 
     It is what is given, else that of the images at rest, else of the residual; of several cameras that by which they
@@ -222,16 +382,16 @@ def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation:
                       OF_RESIDUAL)
 
 
-def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Sequence[Array], degree: int) -> float:
+def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Field, degree: int) -> float:
     """Estimate the noise of one camera's images from what the field leaves of grey-level conservation; collective.
 
     Of every cell the mean square of f - a g - b is sigma^2 (1 + a^2 c), c the noise transfer of the spline, whose
     degree is 3 or 5; the median over cells passes over those where the field does not follow the specimen. It is a
     standard deviation, grey levels; 0 where no pixel counts.
     """
-    found = []
-    for residuals, transfers in zip(evaluation.residuals, find_white_transfer(model, q, degree), strict=True):
-        own, transfer = residuals[0], transfers[0]
+    found, table = [], build_white_transfer(degree)
+    for (view, *_), (own, *_), q_s in zip(model.views, evaluation.residuals, q, strict=True):
+        transfer = find_cell_transfer(table, view, q_s)[:, 0]
         gain, offset = model.find_correction(evaluation, 0, own)
         _, squares = own.cell_sums.sum_residual(gain, offset)
         n = own.cell_sums.n_pixels

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case
-from ddic.functionals.view import CellSlopes
+from ddic.functionals.view import CellSlopes, View
 from ddic.inputs.cameras import Camera
+from ddic.parallel.field import ByView, Field
 from ddic.problem.held_cells import AT_END, AT_START, SHOWN, Limits
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.visibility.brightness import choose_correction, match_brightness
-from ddic.visibility.exclusions import Exclusions
+from ddic.visibility.exclusions import Exclusions, Rules, find_exclusions
 from ddic.visibility.seen_cells import (
     SeenCells,
     TypicalCell,
@@ -24,7 +25,6 @@ from ddic.visibility.seen_cells import (
     measure_seen_cells,
 )
 from ddic.visibility.sharpness import match_sharpness
-from ddic.visibility.view_exclusions import Rules, find_exclusions
 
 Array = NDArray[np.float64]
 
@@ -47,36 +47,38 @@ class SeenFrame:
         What most cells are like, by camera.
     excluded : Exclusions
         What does not show the specimen.
-    is_shown : list of tuple of (n_cells,) bool array
-        Which cells are seen where they are thought to be, of each owned subdomain and view.
+    is_shown : ByView of (n_cells,) bool array
+        Which cells are seen where they are thought to be.
     """
 
     whole: ResidualModel
     evaluation: Evaluation
     typical: Mapping[int, TypicalCell]
     excluded: Exclusions
-    is_shown: list[tuple[NDArray[np.bool_], ...]]
+    is_shown: ByView[NDArray[np.bool_]]
 
     def measure_shown_share(self) -> float:
         """Share of the cells that are seen where they are thought to be, each camera's counted; collective."""
-        shown = [of_view for of_subdomain in self.is_shown for of_view in of_subdomain]
-        counts = np.array([sum(int(cells.sum()) for cells in shown), sum(len(cells) for cells in shown)], dtype=float)
+        counts = np.array([sum(int(cells.sum()) for cells in self.is_shown.flat),
+                           sum(len(cells) for cells in self.is_shown.flat)], dtype=float)
         n_shown, n_cells = self.whole.team.sum(counts)
         return float(n_shown / max(n_cells, 1.0))
 
 
-def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequence[Sequence[CellSlopes]],
+def see_frame(case: Case, whole: ResidualModel, q: Field, slopes: ByView[CellSlopes],
               limits: Limits = AT_END, judged: Exclusions | None = None) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
     The case says whether that is wanted. ``whole`` is of all pixels that the frame shows, ``q`` where it is thought to
-    show them, ``slopes`` are of the reference images by subdomain and view. A residual is not believed from the
+    show them, ``slopes`` are of the reference images. A residual is not believed from the
     displacement error of ``limits`` on, by default those of a field. ``judged`` is of an earlier look, from which is
     taken which cells are blank; by default this one judges. Raises ConvergenceError on all ranks where most of the
     frame does not show the specimen.
     """
     evaluation = whole.evaluate(q)
-    slopes = measure_slopes(whole, slopes)
+    if whole.blurs:
+        # A blurred reference image has weaker ones.
+        slopes = whole.views.map(View.measure_slopes)
     seen = measure_seen_cells(whole, evaluation, slopes)
     sample = collect_cells(whole, seen)
     typical = _find_typical_cells(sample)
@@ -89,7 +91,9 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     corrected = typical
     if whole.correction == "none":
         corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
-    is_shown = _find_shown_cells(whole, seen, corrected)
+    # They correlate and do not stand out.
+    is_shown = whole.views.map(lambda view, cells: (cells.coefficient > SAME_SPECKLE)
+                               & ~find_standing_out(cells, corrected[view.camera], SHOWN), seen)
     if case.correlation.spoilt_pixels == "keep":
         excluded = Exclusions.nothing(whole.views)
     else:
@@ -99,18 +103,8 @@ def see_frame(case: Case, whole: ResidualModel, q: Sequence[Array], slopes: Sequ
     return SeenFrame(whole, evaluation, typical, excluded, is_shown)
 
 
-def measure_slopes(whole: ResidualModel, of_sharp: Sequence[Sequence[CellSlopes]]) -> Sequence[Sequence[CellSlopes]]:
-    """Measure the slopes of the reference images that a frame is compared with; free of communication.
-
-    Where no image was blurred they are ``of_sharp``, those of the images as they are; a blurred one has weaker ones.
-    """
-    if not whole.blurs:
-        return of_sharp
-    return [[view.view.measure_slopes() for view in of_subdomain.views] for of_subdomain in whole.views]
-
-
-def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Sequence[Array],
-              slopes: Sequence[Sequence[CellSlopes]]) -> tuple[SeenFrame, tuple[str, ...]]:
+def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Field,
+              slopes: ByView[CellSlopes]) -> tuple[SeenFrame, tuple[str, ...]]:
     """See the same at a start, and blur the reference images as much as the frame is; collective.
 
     The case says whether either is wanted. Notes for the log come with what is seen; arguments are those of
@@ -124,14 +118,6 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Se
         return seen, notes
     # Blurred from the file, they are as bright as there.
     return see_frame(case, replace(matched, correction=whole.correction), q, slopes, AT_START), notes
-
-
-def _find_shown_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]],
-                      typical: Mapping[int, TypicalCell]) -> list[tuple[NDArray[np.bool_], ...]]:
-    """Which cells correlate and do not stand out, (n_cells,), by subdomain and view."""
-    return [tuple((cells.coefficient > SAME_SPECKLE) & ~find_standing_out(cells, typical[view.camera], SHOWN)
-                  for view, cells in zip(of_subdomain.views, of_views, strict=True))
-            for of_subdomain, of_views in zip(whole.views, seen, strict=True)]
 
 
 def _find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:

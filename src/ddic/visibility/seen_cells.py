@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Residual
-from ddic.functionals.grey_statistics import find_weighted_median, find_weighted_quantile
-from ddic.functionals.view import CellSlopes
+from ddic.functionals.grey_statistics import find_flat, find_weighted_median, find_weighted_quantile
+from ddic.functionals.view import CellSlopes, FrameView
+from ddic.parallel.field import ByView
 from ddic.problem.residual_model import Evaluation, ResidualModel
 
 Array = NDArray[np.float64]
@@ -73,7 +74,8 @@ class SeenCells:
     spread_f, spread_g : array
         Standard deviations, grey levels; that of g is negative where its dark and bright have changed places.
     coefficient : array
-        Correlation coefficient of f and g(x + u); without its sign where gains are fitted, which may be negative.
+        Correlation coefficient of f and g(x + u), 0 where either is flat; without its sign where gains are fitted,
+        which may be negative.
     """
 
     n_pixels: Array
@@ -117,16 +119,14 @@ class TypicalCell:
         return self.noise <= MOST_NOISE * self.contrast
 
 
-def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation,
-                       slopes: Sequence[Sequence[CellSlopes]]) -> list[list[SeenCells]]:
-    """Measure the cells of owned subdomains in a frame, by subdomain and view; free of communication."""
-    found = [[_measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
-              for view, residual, of_view in zip(of_subdomain.views, residuals, of_views, strict=True)]
-             for of_subdomain, residuals, of_views in zip(whole.views, evaluation.residuals, slopes, strict=True)]
-    if whole.correction == "none":
-        return found
-    return [[replace(cells, coefficient=np.abs(cells.coefficient)) for cells in of_subdomain]
-            for of_subdomain in found]
+def measure_seen_cells(whole: ResidualModel, evaluation: Evaluation, slopes: ByView[CellSlopes]) -> ByView[SeenCells]:
+    """Measure the cells of owned subdomains in a frame; free of communication."""
+
+    def measure(view: FrameView, residual: Residual, of_view: CellSlopes) -> SeenCells:
+        cells = _measure(residual, of_view, whole.find_correction(evaluation, view.camera, residual))
+        return cells if whole.correction == "none" else replace(cells, coefficient=np.abs(cells.coefficient))
+
+    return whole.views.map(measure, evaluation.residuals, slopes)
 
 
 def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> SeenCells:
@@ -138,10 +138,13 @@ def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     variance = np.where(n >= FEWEST_PIXELS, of_own, of_used) / safe
     _, r, g, rr, gg, rg = np.moveaxis(sums.values, -1, 0)
     mean_f, mean_g = (r + g) / safe, g / safe
-    spread_f = np.sqrt(np.maximum((rr + 2 * rg + gg) / safe - mean_f**2, 0.0))
-    spread_g = np.sqrt(np.maximum(gg / safe - mean_g**2, 0.0))
+    square_f, square_g = (rr + 2 * rg + gg) / safe, gg / safe
+    variance_f, variance_g = square_f - mean_f**2, square_g - mean_g**2
+    spread_f, spread_g = np.sqrt(np.maximum(variance_f, 0.0)), np.sqrt(np.maximum(variance_g, 0.0))
     covariance = (rg + gg) / safe - mean_f * mean_g
-    coefficient = covariance / np.maximum(spread_f * spread_g, 1e-300)
+    # Where nothing varies, nothing but rounding correlates.
+    is_flat = find_flat(variance_f, square_f) | find_flat(variance_g, square_g)
+    coefficient = np.where(is_flat, 0.0, covariance / np.maximum(spread_f * spread_g, TINY))
     spread_g = np.where(coefficient < -CORRELATED, -spread_g, spread_g)
     unexplained = np.maximum(variance - _explain(residual, slopes, correction), 0.0)
     return SeenCells(n, variance, unexplained, slopes.texture, mean_f, mean_g, spread_f, spread_g, coefficient)
@@ -157,19 +160,17 @@ def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     return np.asarray(np.einsum("ci,ci->c", b, translation))
 
 
-def collect_cells(whole: ResidualModel, seen: Sequence[Sequence[SeenCells]]) -> dict[int, SeenCells]:
+def collect_cells(whole: ResidualModel, seen: ByView[SeenCells]) -> dict[int, SeenCells]:
     """Gather cells with pixels from all ranks, by camera, not more than medians need; collective.
 
     They are the same on all ranks, and on any number of ranks but for the order.
     """
-    team = whole.team
-    n_cells = team.sum(sum(of_subdomain.subdomain.mesh.n_cells for of_subdomain in whole.views))
+    team, subdomains = whole.team, whole.subdomains
+    n_cells = team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
     step = max(1, int(n_cells) // ENOUGH_CELLS)
-    mine = []
-    for of_subdomain, of_views in zip(whole.views, seen, strict=True):
-        is_sampled = of_subdomain.subdomain.cell_ids % step == 0
-        mine += [(view.camera, of_view.choose(is_sampled & (of_view.n_pixels > 0)))
-                 for view, of_view in zip(of_subdomain.views, of_views, strict=True)]
+    are_sampled = whole.views.fill([subdomain.cell_ids % step == 0 for subdomain in subdomains])
+    chosen = seen.map(lambda cells, is_sampled: cells.choose(is_sampled & (cells.n_pixels > 0)), are_sampled)
+    mine = [(view.camera, cells) for view, cells in zip(whole.views.flat, chosen.flat, strict=True)]
     by_camera: dict[int, list[SeenCells]] = {}
     for camera, cells in team.gather_lists(mine):
         by_camera.setdefault(camera, []).append(cells)

@@ -57,9 +57,8 @@ def match_sharpness(whole: ResidualModel, cameras: Sequence[Camera], q: Sequence
                 blurs[camera.number] = found
     if not blurs:
         return whole, ()
-    views = whole.team.together(lambda: [replace(of_subdomain, views=tuple(
-        _blur_reference(view, cameras[view.camera].reference, blurs.get(view.camera)) for view in of_subdomain.views))
-        for of_subdomain in whole.views])
+    views = whole.team.together(lambda: whole.views.map(
+        lambda view: _blur_reference(view, cameras[view.camera].reference, blurs.get(view.camera))))
     notes = tuple(_describe(blurs[camera.number], "" if len(cameras) == 1 else f" ({camera.label})")
                   for camera in cameras if camera.number in blurs)
     return replace(whole, views=views, blurs=tuple(sorted(blurs.items()))), notes
@@ -72,12 +71,11 @@ def _describe(blur: Blur, of_camera: str) -> str:
 
 def _take_samples(whole: ResidualModel, q: Sequence[Array], camera: int) -> Iterator[tuple[Array, Array]]:
     """F and g(x + u) on a part of each owned subdomain; nan where g is not seen."""
-    for of_subdomain, q_s in zip(whole.views, q, strict=True):
-        for view in of_subdomain.views:
-            if view.camera == camera:
-                f = view.view.correlation.reference.values[:SAMPLE, :SAMPLE]
-                g = f - view.compute_residual_image(q_s)[:SAMPLE, :SAMPLE]
-                yield f.astype(np.float64), g.astype(np.float64)
+    for view, q_s in zip(whole.views.flat, whole.views.fill(q).flat, strict=True):
+        if view.camera == camera:
+            f = view.correlation.reference.values[:SAMPLE, :SAMPLE]
+            g = f - view.compute_residual_image(q_s)[:SAMPLE, :SAMPLE]
+            yield f.astype(np.float64), g.astype(np.float64)
 
 
 def _find_blur(team: Team, samples: Sequence[tuple[Array, Array]]) -> Blur | None:
@@ -155,10 +153,10 @@ def _fit_blur(direction: float, images: Sequence[Array],
 def _blur_reference(view: FrameView, reference: MaskedSource, blur: Blur | None) -> FrameView:
     if blur is None:
         return view
-    correlation = view.view.correlation
+    correlation = view.correlation
     source = MaskedSource(BlurredSource(reference, blur))
     sharp = correlation.reference
     # Too small windows were made larger.
     blurred = read_reference(source, sharp.window, view.deformed.degree, correlation.threads).restrict(sharp.window)
-    kept = replace(correlation, source=source, reference=replace(blurred, usable=sharp.usable))
-    return replace(view, view=replace(view.view, correlation=kept))
+    return replace(view, correlation=replace(correlation, source=source,
+                                             reference=replace(blurred, usable=sharp.usable)))

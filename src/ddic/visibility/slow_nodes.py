@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.grey_statistics import GreyState
+from ddic.functionals.view import FrameView
 from ddic.images.noise import NOISE_OF_SLOPE
-from ddic.mesh.mesh import pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.distribution import sum_shared_nodes
+from ddic.parallel.field import Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.renewal import find_displaced_nodes
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import FrameViews
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_node_corrections
 from ddic.solvers.gauss_newton import Correction
 from ddic.solvers.local_system import LocalSystem
@@ -46,7 +47,7 @@ class SlowNodes:
         Of the cells about these nodes.
     rows : list of (n_unknowns,) bool array
         Unknowns whose forces these cells tell, those of slow nodes and their neighbours, of each owned subdomain.
-    q, b : list of (n_unknowns,) array
+    q, b : Field
         Where all pixels were visited last, and the forces there.
     systems : list of LocalSystem
         With M_s.
@@ -54,8 +55,8 @@ class SlowNodes:
 
     near: ResidualModel
     rows: list[Flags]
-    q: list[Array]
-    b: list[Array]
+    q: Field
+    b: Field
     systems: list[LocalSystem]
 
     @property
@@ -63,15 +64,15 @@ class SlowNodes:
         """All ranks."""
         return self.near.team
 
-    def linearize(self, q: Sequence[Array]) -> tuple[list[Array], tuple[GreyState, ...]]:
+    def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
         """Pass over the pixels of the cells about slow nodes; collective."""
         seen, grey = self.near.linearize(q)
-        b = [np.where(is_seen, seen_s, b_s - system.hessian @ (q_s - before))
-             for is_seen, seen_s, b_s, system, q_s, before
-             in zip(self.rows, seen, self.b, self.systems, q, self.q, strict=True)]
-        return b, grey
+        b = [np.where(is_seen, seen_s, b_s - system.hessian @ change)
+             for is_seen, seen_s, b_s, system, change
+             in zip(self.rows, seen, self.b, self.systems, q - self.q, strict=True)]
+        return q.with_parts(b), grey
 
-    def measure_correction(self, dq: Sequence[Array], q: Sequence[Array], tolerances: Tolerances) -> CorrectionSize:
+    def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction of all nodes; collective."""
         return self.near.measure_correction(dq, q, tolerances)
 
@@ -79,29 +80,27 @@ class SlowNodes:
 def confine_to_slow_nodes(model: ResidualModel, correction: Correction, systems: list[LocalSystem],
                           tolerances: Tolerances) -> SlowNodes | None:
     """Confine Gauss-Newton to nodes that still move; None where these have too many pixels; collective."""
-    subdomains = [of_subdomain.subdomain for of_subdomain in model.views]
-    if model.team.sum(sum(subdomain.n_motion for subdomain in subdomains)):
+    team, subdomains = model.team, model.subdomains
+    if team.sum(sum(subdomain.n_motion for subdomain in subdomains)):
         # A camera's motion moves all of its cells, and its force is that of all their pixels.
         return None
     weights = model.weigh_nodes()
-    moved = [measure_node_corrections(*of_subdomain) for of_subdomain
-             in zip(subdomains, correction.dq, correction.q, strict=True)]
+    moved = measure_node_corrections(correction.dq, correction.q)
     if weights is not None:
         moved = [w * of_nodes for w, of_nodes in zip(weights, moved, strict=True)]
     # Copies of a node may differ by what the linear step left.
-    slow = _join_copies(model.team, subdomains, [m > tolerances.largest for m in moved])
+    slow = _join_copies(team, subdomains, [m > tolerances.largest for m in moved])
     # What a slow node does to its neighbours is no more linear than what it does itself.
-    slow = _join_copies(model.team, subdomains, [_find_neighbours(*of_subdomain) for of_subdomain
-                                                 in zip(subdomains, slow, strict=True)])
+    slow = _join_copies(team, subdomains, [_find_neighbours(*of_subdomain) for of_subdomain
+                                           in zip(subdomains, slow, strict=True)])
     rows = [_find_unknowns(subdomain, nodes) for subdomain, nodes in zip(subdomains, slow, strict=True)]
     cells = [_find_cells(subdomain, of_rows) for subdomain, of_rows in zip(subdomains, rows, strict=True)]
-    n_pixels = [np.sum([view.view.correlation.raster.pixel_counts for view in of_subdomain.views], axis=0)
-                for of_subdomain in model.views]
-    n_visited = sum(int(n[chosen].sum()) for n, chosen in zip(n_pixels, cells, strict=True))
-    n_visited, n_all = model.team.sum(np.array([n_visited, sum(int(n.sum()) for n in n_pixels)], dtype=float))
+    n_pixels = model.views.map(lambda view: view.correlation.raster.pixel_counts)
+    n_visited = sum(int(n[chosen].sum()) for n, chosen in zip(add_views(n_pixels), cells, strict=True))
+    n_visited, n_all = team.sum(np.array([n_visited, sum(int(n.sum()) for n in n_pixels.flat)], dtype=float))
     if n_visited > MOST_VISITED * n_all:
         return None
-    views = [_confine(of_subdomain, chosen) for of_subdomain, chosen in zip(model.views, cells, strict=True)]
+    views = model.views.map(FrameView.confine, model.views.fill(cells))
     held = (replace(correction.grey[0], n_pixels=int(n_visited)), *correction.grey[1:])
     near = replace(model, views=views, held_grey=held, known=None)
     return SlowNodes(near, rows, correction.q, correction.b, systems)
@@ -135,12 +134,6 @@ def _find_cells(subdomain: Subdomain, unknowns: Flags) -> Flags:
     return np.asarray(nodes[pad_cells(subdomain.mesh)].any(axis=1))
 
 
-def _confine(of_subdomain: FrameViews, cells: Flags) -> FrameViews:
-    views = tuple(replace(view, view=replace(view.view, correlation=view.view.correlation.confine(cells)))
-                  for view in of_subdomain.views)
-    return replace(of_subdomain, views=views)
-
-
 def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem], noise: float, *,
                              by_pixels_alone: bool = False) -> list[Array]:
     """Estimate the standard deviation of each node's displacement, (n_nodes,), pixels; collective.
@@ -151,18 +144,16 @@ def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem
     levels squared. With ``by_pixels_alone`` mechanics hold nothing: they may hold a field of weak texture in a wrong
     place.
     """
-    sums = []
-    for system, of_subdomain in zip(systems, model.views, strict=True):
+    sums, degree = [], model.views[0][0].deformed.degree
+    for system, of_views in zip(systems, model.views, strict=True):
         hessian = system.hessian.diagonal()
         operator = hessian if by_pixels_alone else system.diagonal
         sums.append(np.hstack([_take_to_nodes(system, hessian), _take_to_nodes(system, operator),
-                               _sum_squared_shapes(of_subdomain)]))
-    totals = sum_shared_nodes(model.team, [system.subdomain for system in systems], sums)
+                               _sum_squared_shapes(system.subdomain.mesh, of_views)]))
     deviations = []
-    for total, of_subdomain in zip(totals, model.views, strict=True):
-        of_slope = NOISE_OF_SLOPE[of_subdomain.views[0].deformed.degree]
+    for total in sum_shared_nodes(model.team, model.subdomains, sums):
         of_hessian, of_operator = total[:, :-1].T.reshape(2, -1, len(total))
-        known = of_operator - of_slope * 0.5 * noise * total[:, -1]
+        known = of_operator - NOISE_OF_SLOPE[degree] * 0.5 * noise * total[:, -1]
         of_noise = np.sqrt(noise * np.maximum(of_hessian, 0.0))
         known = np.maximum(known, LEAST_KNOWN * of_operator)
         # What neither pixels nor mechanics hold moves nowhere.
@@ -177,14 +168,10 @@ def _take_to_nodes(system: LocalSystem, diagonal: Array) -> Array:
     return np.asarray(of_nodes).reshape(subdomain.mesh.nodes.shape)
 
 
-def _sum_squared_shapes(of_subdomain: FrameViews) -> Array:
+def _sum_squared_shapes(mesh: Mesh, views: Sequence[FrameView]) -> Array:
     """Sum of the squared shape function of each node over the pixels about it, (n_nodes, 1), cameras weighted.
 
     Its mean over a quadrangle is 1/9, over a triangle 1/6.
     """
-    mesh = of_subdomain.subdomain.mesh
-    n_corners = np.diff(mesh.offsets)
-    of_cells = np.sum([view.view.weight * view.view.correlation.raster.pixel_counts for view in of_subdomain.views],
-                      axis=0)
-    of_corners = np.repeat(of_cells / np.where(n_corners == 3, 6.0, 9.0), n_corners)
-    return np.asarray(np.bincount(mesh.connectivity, of_corners, mesh.n_nodes), dtype=np.float64)[:, None]
+    of_cells = np.sum([view.weight * view.correlation.raster.pixel_counts for view in views], axis=0)
+    return sum_about_nodes(mesh, of_cells / np.where(np.diff(mesh.offsets) == 3, 6.0, 9.0))[:, None]

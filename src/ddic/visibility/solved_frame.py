@@ -6,22 +6,21 @@ do not become smaller, but are far below the noise of the field.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
+from ddic.parallel.field import Field
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
-from ddic.solvers.dual.continuity import ContinuousField, average_copies
+from ddic.solvers.exchange import ContinuousField, average_copies
 from ddic.solvers.gauss_newton import (
     PATIENCE,
     AndersonMixing,
     Correction,
-    Course,
     Model,
     Pause,
     Progress,
@@ -69,7 +68,7 @@ class SolvedFrame:
     Attributes
     ----------
     field : ContinuousField
-        Unknowns, one value for the copies of each (Eq. 41 of [BP17]).
+        Unknowns, one value for the copies of each (section 5.3.2 of [BP17]).
     solution : Solution
         Unknowns before that, and all iterations.
     seen : SeenFrame
@@ -90,10 +89,10 @@ class SolvedFrame:
     is_evaluated: bool = True
 
 
-def begin_frame(seen: SeenFrame, used: ResidualModel, q: Sequence[Array], notes: tuple[str, ...]) -> SolvedFrame:
+def begin_frame(seen: SeenFrame, used: ResidualModel, q: Field, notes: tuple[str, ...]) -> SolvedFrame:
     """Take a start for a field."""
     # Copies of an unknown may still differ: they are averaged after the first iterations, before anybody looks at them.
-    return SolvedFrame(ContinuousField(list(q), 0.0), Solution(list(q), []), seen, used, notes, is_evaluated=False)
+    return SolvedFrame(ContinuousField(q, 0.0), Solution(q, []), seen, used, notes, is_evaluated=False)
 
 
 def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress, *,
@@ -124,7 +123,7 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
 
     def run(model: Model, pause: Pause | None, mixing: AndersonMixing | None = mixing) -> Solution:
         on = replace(progress, n_before=len(before.records) + len(found.records), is_local=model is not used)
-        went_on = run_gauss_newton(model, found.q, problem.solver.step, tolerances, on, Course(pause, mixing))
+        went_on = run_gauss_newton(model, found.q, problem.solver.step, tolerances, on, pause, mixing)
         return replace(went_on, records=[*found.records, *went_on.records])
 
     slow: SlowNodes | None = None
@@ -177,7 +176,7 @@ def _is_found(size: CorrectionSize, tolerances: Tolerances) -> bool:
 
 def _join(problem: WeightedProblem, solved: SolvedFrame, found: Solution) -> SolvedFrame:
     joined = replace(found, records=[*solved.solution.records, *found.records])
-    field = average_copies(problem.team, problem.reference.subdomains, joined.q)
+    field = average_copies(joined.q)
     notes = (*solved.notes, *problem.solver.release_notes())
     return replace(solved, field=field, solution=joined, notes=notes, is_evaluated=False)
 
@@ -190,7 +189,7 @@ def _prepare_mixing(problem: WeightedProblem) -> AndersonMixing:
         shares = np.repeat(1.0 / subdomain.node_multiplicity, subdomain.mesh.dim)
         of_unknowns[:subdomain.n_field] = subdomain.kinematics.tangent.power(2).T @ shares
         weights.append(of_unknowns)
-    return AndersonMixing(problem.team, weights)
+    return AndersonMixing(weights)
 
 
 def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: ResidualModel | None = None) -> SeenFrame:
@@ -259,7 +258,7 @@ class Looks:
         self.number, self.is_rough, self._is_regularized = 0, True, is_regularized
         self._was_found, self._fewest = False, np.inf
 
-    def choose(self, seen: SeenFrame, now: SeenFrame, q: Sequence[Array], *,
+    def choose(self, seen: SeenFrame, now: SeenFrame, q: Field, *,
                is_paused: bool) -> tuple[SeenFrame, bool]:
         """Choose what to go on with at some unknowns, and tell whether it is other than before; collective."""
         team = now.whole.team

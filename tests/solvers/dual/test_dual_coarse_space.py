@@ -14,7 +14,6 @@ from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.preconditioner import (
     DenseInverse,
     DualPreconditioner,
-    LocalPreconditioner,
     TwoLevelPreconditioner,
     assemble_schur,
     invert_by_blocks,
@@ -73,9 +72,8 @@ def test_the_preconditioner_inverts_the_operator_on_the_coarse_space() -> None:
         parts = [CoarsePart(local, assembly, schur.__matmul__, columns_s) for local, assembly, schur, columns_s
                  in zip(locals_, assemblies, schurs, columns, strict=True)]
         coarse = CoarseSpace(team, exchange, parts)
-        one_level = DualPreconditioner(exchange, [
-            LocalPreconditioner(e, DenseInverse(invert_by_blocks(s, local.n_jumps)))
-            for e, s, local in zip(assemblies, schurs, locals_, strict=True)])
+        one_level = DualPreconditioner(exchange, assemblies, [
+            DenseInverse(invert_by_blocks(s, local.n_jumps)) for s, local in zip(schurs, locals_, strict=True)])
         operator = DualSchurOperator(exchange, locals_)
         two_level = TwoLevelPreconditioner(operator, one_level, coarse)
         matrix = operator.create_matrix()

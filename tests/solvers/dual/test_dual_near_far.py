@@ -1,4 +1,4 @@
-"""The dual step with near and far cameras against the saddle point of Eq. 23 of [BP17] solved directly."""
+"""The dual step with near and far cameras against the saddle point of Eq. 21 of [BP17] and one gap, solved directly."""
 
 from __future__ import annotations
 

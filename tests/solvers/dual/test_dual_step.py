@@ -11,8 +11,8 @@ from ddic.errors import ConvergenceError, is_collective
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import share_nodes
 from ddic.partition.subdomain import Weighting
-from ddic.solvers.dual.build_preconditioner import Preconditioner
 from ddic.solvers.dual.dual_step import DualSettings
+from ddic.solvers.dual.preconditioner import Preconditioner
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 RANKS = [1, 2, 3, 4]

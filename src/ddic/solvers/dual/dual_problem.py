@@ -7,16 +7,15 @@ of near-field set-ups in the interface problem is eliminated exactly by the prec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.subdomain import Subdomain, rows_of
+from ddic.partition.subdomain import rows_of
 from ddic.solvers.dual.local_dual import LocalDual, RankDual, add_motion_rows, build_local_dual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_operator import LocalOperator
@@ -43,7 +42,8 @@ class Multiplying(Protocol):
 class DualSchurOperator:
     """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
-    The matrix is symmetric and quasi-definite; one local solve per subdomain and product.
+    The matrix is symmetric and quasi-definite; one local solve per subdomain and product. Its blocks, Eq. 27a-c,
+    are never formed.
 
     Parameters
     ----------
@@ -173,49 +173,58 @@ def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, N
     return scales
 
 
-@dataclass(frozen=True)
 class DualProblem:
     """The interface problem, spread over ranks.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    systems : sequence of LocalSystem
+        This rank's subdomains.
+    operators : sequence of LocalOperator
+        Their A_s factorised, motions of cameras held; they stay their maker's to destroy.
+    scale : float
+        c of ``build_local_dual``.
 
     Attributes
     ----------
     systems : list of LocalSystem
-        This rank's subdomains, motions of cameras held.
+        The same, motions of cameras held.
     exchange : Exchange
         Of interface rows, its owner.
     local_duals : list of LocalDual
         Of each of these subdomains.
+    operator : DualSchurOperator
+        S_tot.
     n_motion : int
         Number of unknowns of all cameras' motions.
     """
 
-    systems: list[LocalSystem]
-    exchange: Exchange
-    local_duals: list[LocalDual]
-    n_motion: int
+    def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
+                 scale: float) -> None:
+        self.team = team
+        self.subdomains = [system.subdomain for system in systems]
+        self.systems = [system.without_motion for system in systems]
+        scales = sum_motion_scales(team, systems)
+        self.n_motion = sum(len(values) for values in scales.values())
+        rows = []
+        for subdomain in self.subdomains:
+            rows += [rows_of(subdomain.jumps), rows_of(subdomain.reactions)]
+            if subdomain.motion is not None:
+                rows.append(subdomain.motion.rows)
+        self.exchange = Exchange(team, sum(s.n_owned_rows for s in self.subdomains), rows)
+        self.local_duals = []
+        for system, held_system, operator in zip(systems, self.systems, operators, strict=True):
+            field = build_local_dual(held_system, operator, self.exchange.ghosts, scale)
+            self.local_duals.append(add_motion_rows(field, system, self.exchange.ghosts, scales))
+        self.operator = DualSchurOperator(self.exchange, self.local_duals)
 
-    @property
-    def team(self) -> Team:
-        """The ranks."""
-        return self.exchange.team
-
-    @cached_property
-    def operator(self) -> DualSchurOperator:
-        """S_tot."""
-        return DualSchurOperator(self.exchange, self.local_duals)
-
-    @property
-    def subdomains(self) -> list[Subdomain]:
-        """Subdomains of this rank."""
-        return [system.subdomain for system in self.systems]
-
-    def set_right_hand_side(self, right: PETSc.Vec, free: Sequence[NDArray[np.float64]],
-                            q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> None:
-        """Set a vector to t_tot = sum_s G_s (u_s + free_s), Eq. 27 of [BP17]; collective.
+    def set_right_hand_side(self, right: PETSc.Vec, free: Field, q: Field, b: Field) -> None:
+        """Set a vector to t_tot = sum_s G_s (u_s + free_s), Eq. 27d-e of [BP17]; collective.
 
         Rows of a camera's motion are (N_s^T free_s - R_s^T b_s) / kappa. Of each owned subdomain, ``free`` is
-        A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), (n_field,); ``q`` is u_s, then the camera's motion, and ``b`` is b_s,
-        both (n_unknowns,).
+        A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), (n_field,); ``q`` is u_s, then the camera's motion.
         """
         fields = [q_s[:len(free_s)] + free_s for q_s, free_s in zip(q, free, strict=True)]
         total = self.operator.of_rank.sum_jumps(fields)
@@ -225,53 +234,21 @@ class DualProblem:
                 total[motion.rows] -= motion.columns.T @ q_s[:n_field] + b_s[n_field:] / motion.scale
         self.exchange.add_to_owners(total, right)
 
-    def correct(self, free: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
-        """Correct the fields by the multipliers v, Eq. 24a of [BP17]; collective.
+    def correct(self, free: Field, multipliers: PETSc.Vec) -> Field:
+        """Correct by the multipliers v: du_s = free_s - A_s^-1 G_s^T v, pixels, Eq. 24a of [BP17]; collective."""
+        v = self.exchange.fetch_ghosts(multipliers)
+        return free - self.operator.of_rank.solve_forces(v)
 
-        Gives du_s = free_s - A_s^-1 G_s^T v of each owned subdomain, (n_field,), pixels; ``free`` are the parts without
-        multipliers.
+    def append_motion(self, du: Field, multipliers: PETSc.Vec) -> Field:
+        """Append the corrections of cameras' motions, pixels, to those of the fields; collective.
+
+        They are taken from the multipliers v, among which are kappa alpha.
         """
         v = self.exchange.fetch_ghosts(multipliers)
-        return [free_s - forced_s for free_s, forced_s in zip(free, self.operator.of_rank.solve_forces(v), strict=True)]
-
-    def append_motion(self, du: Sequence[NDArray[np.float64]], multipliers: PETSc.Vec) -> list[NDArray[np.float64]]:
-        """Append the corrections of cameras' motions to those of the fields, pixels; collective.
-
-        The motions are taken from the multipliers v, among which are kappa alpha; the result is dq_s of each owned
-        subdomain, (n_unknowns,).
-        """
-        v = self.exchange.fetch_ghosts(multipliers)
-        return [du_s if local.motion is None else np.concatenate([du_s, v[local.motion.rows] / local.motion.scale])
-                for du_s, local in zip(du, self.local_duals, strict=True)]
+        return du.with_parts(
+            du_s if local.motion is None else np.concatenate([du_s, v[local.motion.rows] / local.motion.scale])
+            for du_s, local in zip(du, self.local_duals, strict=True))
 
     def destroy(self) -> None:
         """Free PETSc's objects; local factors are their maker's."""
         self.exchange.destroy()
-
-
-def build_dual_problem(team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
-                       scale: float) -> DualProblem:
-    """Build the interface problem, the caller's to destroy; collective.
-
-    ``operators`` are the factors of A_s with motions of cameras held, ``scale`` is c of ``build_local_dual``.
-    """
-    subdomains = [system.subdomain for system in systems]
-    scales = sum_motion_scales(team, systems)
-    held_systems = [system.without_motion for system in systems]
-    exchange = Exchange(team, sum(s.n_owned_rows for s in subdomains), _list_rows(subdomains))
-    local_duals = []
-    for system, held_system, operator in zip(systems, held_systems, operators, strict=True):
-        field = build_local_dual(held_system, operator, exchange.ghosts, scale)
-        local_duals.append(add_motion_rows(field, system, exchange.ghosts, scales))
-    n_motion = sum(len(values) for values in scales.values())
-    return DualProblem(held_systems, exchange, local_duals, n_motion)
-
-
-def _list_rows(subdomains: Sequence[Subdomain]) -> list[NDArray[np.int64]]:
-    """Numbers of the interface rows that subdomains take part in."""
-    rows = []
-    for subdomain in subdomains:
-        rows += [rows_of(subdomain.jumps), rows_of(subdomain.reactions)]
-        if subdomain.motion is not None:
-            rows.append(subdomain.motion.rows)
-    return rows

@@ -1,4 +1,4 @@
-"""The linear step of Gauss-Newton by dual domain decomposition, Eq. 24-31 of [BP17]."""
+"""The linear step of Gauss-Newton by dual domain decomposition: dq_s and S_tot, Eq. 24-31 of [BP17]."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.solvers.correction_size import measure_rms
-from ddic.solvers.dual.build_preconditioner import Preconditioner, build_preconditioner
-from ddic.solvers.dual.dual_problem import build_dual_problem
-from ddic.solvers.dual.interface_solver import InterfaceSettings, InterfaceSolver
-from ddic.solvers.dual.preconditioner import LocalInverseKind
+from ddic.partition.subdomain import Subdomain
+from ddic.solvers.dual.dual_problem import DualProblem
+from ddic.solvers.dual.interface_solver import InterfaceSolver
+from ddic.solvers.dual.local_dual import LocalDual
+from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, build_preconditioner
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem
@@ -48,7 +49,7 @@ class DualSettings:
 
 
 class DualStep:
-    """Solves Eq. 24-25 of [BP17] for dq, with two cameras Eq. 23.
+    """Solves for dq_s by S_tot (Lambda, LambdaBar) = t_tot, Eq. 24-25 of [BP17], with several cameras Eq. 23.
 
     Factors are kept, and the interface problem starts from the previous multipliers. Making it raises
     SingularSubdomainError on all ranks.
@@ -74,13 +75,13 @@ class DualStep:
     def __init__(self, team: Team, systems: Sequence[LocalSystem], operators: Sequence[LocalOperator],
                  scale: float, settings: DualSettings, clock: PhaseClock | None = None) -> None:
         with PetscStack() as stack:
-            self._problem = stack.keep(build_dual_problem(team, systems, operators, scale))
-            built = build_preconditioner(stack, self._problem, settings.preconditioner, settings.local_inverse, clock)
-            self._has_preconditioner = built.context is not None
-            interface = InterfaceSettings(settings.tolerance, settings.max_iterations,
-                                          settings.recycle and self._has_preconditioner)
-            self._interface = stack.keep(
-                InterfaceSolver(self._problem.operator, built.context, built.coarse, interface))
+            self._problem = stack.keep(DualProblem(team, systems, operators, scale))
+            preconditioner, coarse = build_preconditioner(stack, self._problem, settings.preconditioner,
+                                                          settings.local_inverse, clock)
+            self._has_preconditioner = preconditioner is not None
+            self._interface = stack.keep(InterfaceSolver(
+                self._problem.operator, preconditioner, coarse, settings.tolerance, settings.max_iterations,
+                recycle=settings.recycle and self._has_preconditioner))
             self._right = stack.keep(self._problem.exchange.create_vector())
             self._objects = stack.pop_all()
 
@@ -94,13 +95,12 @@ class DualStep:
         """Number of rows of the interface problem."""
         return self._problem.exchange.n_global
 
-    def solve(self, q: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]],
-              allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq_s, with an estimate of its error; collective. Raises ConvergenceError on all ranks."""
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq, with an estimate of its error; collective. Raises ConvergenceError on all ranks."""
         problem = self._problem
-        free = [self._solve_alone(s, q_s, b_s) for s, (q_s, b_s) in enumerate(zip(q, b, strict=True))]
+        free = q.map(_solve_alone, b, problem.systems, problem.local_duals)
         if self.n_interface == 0:
-            return StepResult(free, 0, np.zeros(0), 0.0)
+            return StepResult(free)
         problem.set_right_hand_side(self._right, free, q, b)
         size = float(self._right.norm())
         stop, error = self._find_stop(size, allowed)
@@ -119,13 +119,6 @@ class DualStep:
         """Free PETSc's objects; must be called before the interpreter ends."""
         self._objects.close()
 
-    def _solve_alone(self, s: int, q_s: NDArray[np.float64], b_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s) of the s-th owned subdomain, its camera's motion held."""
-        system = self._problem.systems[s]
-        n = system.subdomain.n_field
-        right = system.right_hand_side(b_s[:n], q_s[:n])
-        return self._problem.local_duals[s].operator.solve(right)
-
     def _find_stop(self, size: float, allowed: AllowedError | None) -> tuple[float, float | None]:
         """Norm of the residual at which GMRES may stop, of the tolerance or of the displacement error allowed.
 
@@ -143,8 +136,15 @@ class DualStep:
         """RMS over nodes of A_s^-1 G_s^T P (t_tot - S_tot v), pixels: dq's error, as far as P is like S_tot^-1."""
         if not self._has_preconditioner:
             return float("nan")
-        nothing = [np.zeros(s.n_field) for s in self._problem.subdomains]
+        subdomains = self._problem.subdomains
+        nothing = Field(self._problem.team, subdomains, [np.zeros(s.n_field) for s in subdomains])
         with PetscStack() as stack:
             multipliers = stack.keep(self._interface.precondition_residual())
-            errors = self._problem.correct(nothing, multipliers)
-        return measure_rms(self._problem.team, self._problem.subdomains, errors)
+            return self._problem.correct(nothing, multipliers).measure_rms()
+
+
+def _solve_alone(subdomain: Subdomain, q_s: NDArray[np.float64], b_s: NDArray[np.float64], system: LocalSystem,
+                 local: LocalDual) -> NDArray[np.float64]:
+    """A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), the motion of the subdomain's camera held."""
+    n = subdomain.n_field
+    return local.operator.solve(system.right_hand_side(b_s[:n], q_s[:n]))

@@ -5,8 +5,6 @@ Directions are kept from earlier interface problems with the same operator.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
@@ -95,25 +93,6 @@ UNREACHED = 1e-300
 """Residual norm that no iteration reaches, where another test is to stop it, and that is not quite zero."""
 
 
-@dataclass(frozen=True)
-class InterfaceSettings:
-    """How the Krylov solver works.
-
-    Attributes
-    ----------
-    tolerance : float
-        On |t_tot - S_tot v| / |t_tot|.
-    max_iterations : int
-        Most iterations of one solution, also GMRES's restart.
-    recycle : bool
-        Whether directions are kept for later solutions.
-    """
-
-    tolerance: float
-    max_iterations: int
-    recycle: bool
-
-
 class InterfaceSolver:
     """GMRES on S_tot, right-preconditioned, which remembers earlier right-hand sides.
 
@@ -127,8 +106,12 @@ class InterfaceSolver:
         P.
     coarse : CoarseSpace or None
         Coarse space of the preconditioner, which wants residuals free of it.
-    settings : InterfaceSettings
-        Tolerance and so on.
+    tolerance : float
+        On |t_tot - S_tot v| / |t_tot|.
+    max_iterations : int
+        Most iterations of one solution, also GMRES's restart.
+    recycle : bool
+        Whether directions are kept for later solutions.
 
     Attributes
     ----------
@@ -137,11 +120,11 @@ class InterfaceSolver:
     ksp : PETSc.KSP
         PETSc's solver.
     tolerance : float
-        On |t_tot - S_tot v| / |t_tot|, after options.
+        The same after options.
     """
 
     def __init__(self, operator: DualSchurOperator, preconditioner: Preconditioning | None,
-                 coarse: CoarseSpace | None, settings: InterfaceSettings) -> None:
+                 coarse: CoarseSpace | None, tolerance: float, max_iterations: int, *, recycle: bool) -> None:
         self._coarse = coarse
         self._deflated: _Deflated | None = None
         with PetscStack() as stack:
@@ -150,12 +133,12 @@ class InterfaceSolver:
             self.residual = stack.keep(operator.create_vector())
             self._change = stack.keep(operator.create_vector())
             matrix = self._schur
-            if settings.recycle:
+            if recycle:
                 self._deflated = _Deflated(operator, self.multipliers.getLocalSize())
                 matrix = stack.keep(operator.create_matrix(self._deflated))
             self.ksp = stack.keep(create_ksp(operator.team.comm, DUAL))
             self.ksp.setOperators(matrix)
-            self._configure(preconditioner, settings)
+            self._configure(preconditioner, tolerance, max_iterations)
             self._objects = stack.pop_all()
         self.tolerance = float(self.ksp.getTolerances()[0])
 
@@ -234,13 +217,13 @@ class InterfaceSolver:
             self._deflated.space.reduce(self.residual.getArray(), self.multipliers.getArray())
         return float(self.residual.norm())
 
-    def _configure(self, preconditioner: Preconditioning | None, settings: InterfaceSettings) -> None:
+    def _configure(self, preconditioner: Preconditioning | None, tolerance: float, max_iterations: int) -> None:
         """Set up the Krylov solver, the user's options last."""
         n_rows = max(self.multipliers.getSize(), 1)
-        self.ksp.setTolerances(rtol=settings.tolerance, atol=UNREACHED, divtol=1e12, max_it=settings.max_iterations)
+        self.ksp.setTolerances(rtol=tolerance, atol=UNREACHED, divtol=1e12, max_it=max_iterations)
         self.ksp.setType(PETSc.KSP.Type.GMRES)
-        self.ksp.setGMRESRestart(min(settings.max_iterations, n_rows) + 1)
-        self.ksp.setConvergenceHistory(length=settings.max_iterations + 2, reset=True)
+        self.ksp.setGMRESRestart(min(max_iterations, n_rows) + 1)
+        self.ksp.setConvergenceHistory(length=max_iterations + 2, reset=True)
         pc = self.ksp.getPC()
         if preconditioner is None:
             pc.setType(PETSc.PC.Type.NONE)

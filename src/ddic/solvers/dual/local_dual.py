@@ -22,7 +22,7 @@ from ddic.solvers.local_system import LocalSystem
 
 @dataclass(frozen=True)
 class LocalDual:
-    """A subdomain's operators on the interface, Eq. 30-31 of [BP17] with the two blocks stacked.
+    """A subdomain's operators on the interface: the product of Eq. 30-31 of [BP17] with the two blocks stacked.
 
     With v = (Lambda, LambdaBar / c), S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, where
     G_s = [C_s ; c eta Cbar_s Kbar_s] = B_s T_s,  H_s = c^2 eta Cbar_s Cbar_s^T = B_s D_s B_s^T,
@@ -56,7 +56,10 @@ class LocalDual:
     motion: MotionRows | None = None
 
     def multiply_schur(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, not formed, in blocks: no array of (n_field, k) is held."""
+        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, not formed, in blocks: no array of (n_field, k) is held.
+
+        S_tot is the sum of B_s S_s B_s^T, Eq. 34-35 of [BP17].
+        """
         out = np.empty(columns.shape, order="F")
         step = self.operator.block
         for begin in range(0, columns.shape[1], step):
@@ -73,8 +76,8 @@ class MotionRows:
     With R_s the displacements that alpha makes and N_s = M_s R_s, alpha's equation N_s^T u_s + R_s^T M_s R_s alpha
     = R_s^T b_s, summed over subdomains, has the form of the others: G_s gains the rows N_s^T / kappa, H_s the block
     R_s^T M_s R_s / kappa^2. Where the near camera alone sees its subdomains, A_s^-1 N_s = R_s, since K R_s = 0: then
-    C_s R_s are alpha's columns R of Eq. 20 of [BP17] (1 from near to far, 0 within one side), and the block's part
-    of S_tot vanishes.
+    C_s R_s are alpha's columns in Eq. 20 of [BP17], whose alpha has the other sign (1 from near to far, 0 within one
+    side), and the block's part of S_tot vanishes.
 
     Attributes
     ----------
@@ -98,6 +101,7 @@ def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArr
                      scale: float) -> LocalDual:
     """Build a subdomain's interface operators, of the field alone: ``system`` is without the motion of its camera.
 
+    Jumps and reactions are split into the assembly B_s and the trace T_s on its own interface, Eq. 33 of [BP17].
     ``ghosts`` are the sorted numbers of the rows that this rank takes part in. ``scale`` is
     c = 1 / sqrt(eta mean diag M), which gives both blocks of unknowns and of residuals one unit and keeps S_tot
     symmetric.
@@ -143,7 +147,7 @@ def _select(places: NDArray[np.int64], size: int) -> sparse.csr_matrix:
 
 
 class RankDual:
-    """A rank's part of the dual problem, Eq. 30-31 of [BP17]: operators of ``LocalDual`` side by side.
+    """A rank's part of the product S_tot v, Eq. 30-31 of [BP17]: operators of ``LocalDual`` side by side.
 
     Parameters
     ----------

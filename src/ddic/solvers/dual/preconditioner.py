@@ -1,12 +1,13 @@
 """The preconditioners of the interface problem: the block explicit inverse, Eq. 37-40 of [BP17], and one of two levels.
 
 S_s^-1 of a subdomain is held as an array or, where it is large, as one sparse factor, S_s never formed. The two-level
-preconditioner combines the scaled block inverse and a coarse space as A-DEF2.
+preconditioner combines the scaled block inverse and a coarse space as A-DEF2. What builds the one that is asked for
+stands below them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -16,10 +17,19 @@ from petsc4py import PETSc
 from scipy import linalg, sparse
 
 from ddic.errors import SingularSubdomainError
-from ddic.solvers.dual.coarse_space import CoarseSpace
-from ddic.solvers.dual.dual_problem import DualSchurOperator
+from ddic.parallel.phases import PhaseClock
+from ddic.partition.subdomain import scaled_incidence
+from ddic.solvers.dual.coarse_space import (
+    CoarseColumns,
+    CoarsePart,
+    CoarseSpace,
+    SchurProduct,
+    build_coarse_columns,
+    find_low_energy_modes,
+)
+from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, MotionPreconditioner, Preconditioning
 from ddic.solvers.dual.local_dual import LocalDual, list_places
-from ddic.solvers.exchange import Exchange
+from ddic.solvers.exchange import Exchange, fetch_copies
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc import INVERSE, PetscStack, create_ksp, is_mumps_missing, to_petsc_integers
 
@@ -102,7 +112,7 @@ def assemble_schur(local: LocalDual) -> NDArray[np.float64]:
 
 
 def invert_by_blocks(schur: NDArray[np.float64], n_jumps: int) -> NDArray[np.float64]:
-    """Invert S_s by blocks, Eq. 37-40 of [BP17] with the misprints of Eq. 38 put right.
+    """Invert S_s by blocks, Eq. 38-40 of [BP17] with the misprints of Eq. 38 put right.
 
     With a = S^ll, of size ``n_jumps``, b = S^l(lbar), d = S^(lbar)(lbar) - b^T a^-1 b the inverse is
     [[a^-1 + a^-1 b d^-1 b^T a^-1, -a^-1 b d^-1], [-d^-1 b^T a^-1, d^-1]]; a and -d are positive definite. Raises
@@ -171,22 +181,6 @@ class DenseInverse:
         """Nothing to free: the array is Python's."""
 
 
-@dataclass(frozen=True)
-class LocalPreconditioner:
-    """One subdomain's term B S_s^-1 B^T.
-
-    Attributes
-    ----------
-    assembly : (n ghost rows, n interface unknowns) csc_matrix
-        B: signed incidence, or its scaled version.
-    inverse : LocalInverse
-        S_s^-1.
-    """
-
-    assembly: sparse.csc_matrix
-    inverse: LocalInverse
-
-
 class DualPreconditioner:
     """Context of PETSc's shell preconditioner: P r = sum_s B_s S_s^-1 B_s^T r, Eq. 37 of [BP17].
 
@@ -194,21 +188,19 @@ class DualPreconditioner:
     ----------
     exchange : Exchange
         Of interface rows.
-    terms : sequence of LocalPreconditioner
-        This rank's subdomains.
-
-    Attributes
-    ----------
-    inverses : list of LocalInverse
-        S_s^-1 of each of them.
+    assemblies : sequence of (n ghost rows, n interface unknowns) csc_matrix
+        B_s of each of this rank's subdomains: signed incidence, or its scaled version.
+    inverses : sequence of LocalInverse
+        S_s^-1 of each.
     """
 
-    def __init__(self, exchange: Exchange, terms: Sequence[LocalPreconditioner]) -> None:
+    def __init__(self, exchange: Exchange, assemblies: Sequence[sparse.csc_matrix],
+                 inverses: Sequence[LocalInverse]) -> None:
         self._exchange = exchange
-        self.inverses = [term.inverse for term in terms]
-        self._places = list_places([term.assembly.shape[1] for term in terms])
+        self.inverses = inverses
+        self._places = list_places([assembly.shape[1] for assembly in assemblies])
         # Side by side: to call a product with a small matrix takes longer than to compute it.
-        self._assembly = sparse.hstack([term.assembly for term in terms], format="csc").tocsr()
+        self._assembly = sparse.hstack(assemblies, format="csc").tocsr()
         # Made once: making the matrix takes longer than its product with a vector.
         self._assembly_transposed = self._assembly.T
 
@@ -237,22 +229,6 @@ all round. bench/local_inverse.py finds the array faster in an iteration and slo
 elements, with the same memory within 30 MiB; the limit lies between, where several subdomains a rank stay cheap."""
 
 
-@dataclass(frozen=True)
-class SchurPair:
-    """A subdomain's S_s and S_s^-1.
-
-    Attributes
-    ----------
-    multiply : callable
-        From X to S_s X, both of shape (n interface unknowns, k).
-    inverse : LocalInverse
-        S_s^-1.
-    """
-
-    multiply: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    inverse: LocalInverse
-
-
 def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
     """Tell whether S_s and its inverse are to be arrays: always without MUMPS, which makes the sparse factor."""
     if kind == "auto":
@@ -262,15 +238,17 @@ def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
     return kind == "dense"
 
 
-def build_schur_pair(system: LocalSystem, local: LocalDual, kind: LocalInverseKind) -> SchurPair:
-    """Build S_s and its inverse, the caller's to destroy, by arrays or by sparse factors; "auto" asks its size.
+def build_schur_pair(system: LocalSystem, local: LocalDual,
+                     kind: LocalInverseKind) -> tuple[SchurProduct, LocalInverse]:
+    """Build products with S_s, and its inverse, by arrays or by sparse factors; "auto" asks its size.
 
-    The motion of the subdomain's camera is held in ``system``. Raises SingularSubdomainError where S_s is singular.
+    The inverse is the caller's to destroy; the motion of the subdomain's camera is held in ``system``. Raises
+    SingularSubdomainError where S_s is singular.
     """
     if is_dense(len(local.compliance), kind):
         schur = assemble_schur(local)
-        return SchurPair(schur.__matmul__, DenseInverse(invert_by_blocks(schur, local.n_jumps)))
-    return SchurPair(local.multiply_schur, SparseInverse(system.operator, local))
+        return schur.__matmul__, DenseInverse(invert_by_blocks(schur, local.n_jumps))
+    return local.multiply_schur, SparseInverse(system.operator, local)
 
 
 class TwoLevelPreconditioner:
@@ -302,3 +280,79 @@ class TwoLevelPreconditioner:
             self._operator.mult(None, y, left)
             left.aypx(-1.0, x)
             self._coarse.correct(left, y)
+
+
+Preconditioner = Literal["none", "paper", "scaled", "two_level"]
+
+OF_COLUMNS = 0.3
+"""Share of the set-up that the coarse vectors take, a guess for what shows progress."""
+
+
+def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Preconditioner,
+                         local_inverse: LocalInverseKind,
+                         clock: PhaseClock | None = None) -> tuple[Preconditioning | None, CoarseSpace | None]:
+    """Build the preconditioner that is asked for, and the coarse space of one of two levels; collective.
+
+    Rows of cameras' motions are eliminated; ``stack`` keeps what must be destroyed. Raises SingularSubdomainError on
+    all ranks.
+    """
+    if kind == "none":
+        return None, None
+    clock = clock or PhaseClock()
+    is_paper = kind == "paper"
+    assemblies = [local.incidence for local in problem.local_duals] if is_paper else _scale_assemblies(problem)
+    # Before the inverses: what finds the modes is large, and gone when these are made.
+    columns = _find_columns(problem, clock) if kind == "two_level" else []
+    pairs = _build_pairs(stack, problem, local_inverse, clock)
+    one_level = DualPreconditioner(problem.exchange, assemblies, [inverse for _, inverse in pairs])
+    context: Preconditioning = one_level
+    coarse = None
+    if kind == "two_level":
+        parts = [CoarsePart(local, assembly, multiply_schur, columns_s)
+                 for local, assembly, (multiply_schur, _), columns_s
+                 in zip(problem.local_duals, assemblies, pairs, columns, strict=True)]
+        coarse = stack.keep(CoarseSpace(problem.team, problem.exchange, parts))
+        context = TwoLevelPreconditioner(problem.operator, one_level, coarse)
+    if problem.n_motion:
+        context = stack.keep(MotionPreconditioner(problem.operator, context, problem.n_motion))
+    return context, coarse
+
+
+def _find_columns(problem: DualProblem, clock: PhaseClock) -> list[CoarseColumns]:
+    """Coarse vectors of each owned subdomain."""
+    both = list(zip(problem.systems, problem.local_duals, strict=True))
+
+    def find() -> list[CoarseColumns]:
+        return [build_coarse_columns(find_low_energy_modes(system, local.operator), local)
+                for system, local in clock.note_each(both, end=OF_COLUMNS)]
+
+    return problem.team.together(find)
+
+
+def _build_pairs(stack: PetscStack, problem: DualProblem, local_inverse: LocalInverseKind,
+                 clock: PhaseClock) -> list[tuple[SchurProduct, LocalInverse]]:
+    """Products with S_s, and its inverse, of each owned subdomain."""
+    both = list(zip(problem.systems, problem.local_duals, strict=True))
+
+    def build() -> list[tuple[SchurProduct, LocalInverse]]:
+        pairs = []
+        for system, local in clock.note_each(both):
+            multiply_schur, inverse = build_schur_pair(system, local, local_inverse)
+            # One by one: where a later one is singular, those before are freed. The inverse alone, for S_s may go.
+            pairs.append((multiply_schur, stack.keep(inverse)))
+        return pairs
+
+    return problem.team.together(build)
+
+
+def _scale_assemblies(problem: DualProblem) -> list[sparse.csc_matrix]:
+    """(B D^-1 B^T)^-1 B D^-1 per subdomain, D the copies' stiffness diag A_s (1 for reactions)."""
+    chains = []
+    for system in problem.systems:
+        jumps, reactions = system.subdomain.jumps, system.subdomain.reactions
+        stiffness = system.diagonal[jumps.unknowns]
+        chains.append([(jumps, stiffness), (reactions, np.ones(len(reactions.unknowns)))])
+    copies, weights = fetch_copies(problem.team, problem.subdomains, [pair for both in chains for pair in both])
+    rows = problem.exchange.ghosts
+    return [sparse.hstack([scaled_incidence(interface, weights, copies, rows) for interface, _ in both], format="csc")
+            for both in chains]

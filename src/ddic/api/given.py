@@ -1,0 +1,238 @@
+"""What Python programs have in place of files: images, a mesh, a displacement to start from."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.errors import InputError, as_collective
+from ddic.images.binned import ArraySource
+from ddic.images.grey_levels import check_finite, find_saturation
+from ddic.images.source import ImageSource
+from ddic.images.sub_image import MaskedSource
+from ddic.inputs.cameras import open_on_all_ranks
+from ddic.inputs.start_points import StartPoints, check_start_points
+from ddic.io.image_file import read_mask
+from ddic.io.mesh_file import convert_mesh
+from ddic.io.result_reader import Result
+from ddic.mesh.cell_type import CELL_TYPES
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
+from ddic.parallel.team import Team
+from ddic.start.given_start import GivenStart, keep_displacement
+
+if TYPE_CHECKING:
+    import meshio
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A grey-level image with what is left out of it.
+
+    Attributes
+    ----------
+    pixels : (height, width) array, str or Path
+        Grey levels of any integer or float type, or the file that holds them. What a masked array of numpy masks is
+        left out.
+    mask : (height, width) array, str or Path, optional
+        Zero, or False, where pixels are left out; none is by default.
+    exclude_saturated : bool
+        Leave out saturated pixels; of a reference image, those of its deformed images as well.
+    saturation : float, optional
+        Grey level from which on a pixel is saturated; found from the image where left out, as in a case file.
+    """
+
+    pixels: NDArray[Any] | str | Path
+    mask: NDArray[Any] | str | Path | None = None
+    exclude_saturated: bool = False
+    saturation: float | None = None
+
+
+ImageLike = Image | NDArray[Any] | str | Path
+"""An image, its grey levels (height, width), or its file."""
+
+
+def open_given_image(team: Team, given: ImageLike, name: str, *, keeps: bool = False) -> MaskedSource:
+    """Open an image that the user gave, the same on all ranks; collective.
+
+    ``name`` is what messages call it. One that ``keeps`` is read after the call that it was given to: an array, which
+    the user may write into, is copied. Raises InputError on all ranks, where it is no image, or its mask is not as
+    large.
+    """
+    image = given if isinstance(given, Image) else Image(given)
+    pixels = image.pixels
+    if isinstance(pixels, str | Path):
+        source = open_on_all_ranks(team)(Path(pixels))
+        return team.together(lambda: _leave_pixels_out(image, source, name))
+    in_memory = team.together(lambda: _hold_array(pixels, name, keeps=keeps))
+    masked = team.together(lambda: _leave_pixels_out(image, in_memory, name))
+    _refuse_other_pixels(team, in_memory, name)
+    return masked
+
+
+def _refuse_other_pixels(team: Team, image: ArraySource, name: str) -> None:
+    """Refuse an array that is not the same on all ranks, each of which would correlate its own; collective."""
+    checksums = set(team.gather_lists([(image.values.shape, zlib.crc32(image.values.tobytes()))]))
+    if len(checksums) > 1:
+        raise as_collective(InputError(f"{name}: the ranks were given different arrays; give all ranks the same image, "
+                                       "or its file"))
+
+
+def _hold_array(pixels: Any, name: str, *, keeps: bool) -> ArraySource:
+    values = _convert_to_pixels(pixels, name)
+    if values.ndim != 2:
+        raise InputError(f"{name}: an array of shape {values.shape}, (height, width) expected; convert colours to grey "
+                         "levels first")
+    if values.size == 0:
+        raise InputError(f"{name}: an array of shape {values.shape} holds no pixel")
+    is_integer = np.issubdtype(values.dtype, np.integer)
+    if not (is_integer or np.issubdtype(values.dtype, np.floating)):
+        raise InputError(f"{name}: an array of {values.dtype}, grey levels of an integer or float type expected")
+    # Files bring the other byte order at times, which compiled kernels do not read.
+    convert = np.array if keeps else np.asarray
+    native = convert(values, dtype=values.dtype.newbyteorder("="), order="C")
+    saturation = float(np.iinfo(native.dtype).max) if is_integer else None
+    return ArraySource(Path(name), native, saturation)
+
+
+def _leave_pixels_out(image: Image, source: ImageSource, name: str) -> MaskedSource:
+    used = _used_pixels(image, source, name)
+    check_finite(source, used)
+    mask = None if used is None else ArraySource(Path(f"{name}'s mask"), used.astype(np.uint8))
+    return MaskedSource(source, mask, _find_saturation(image, source, name))
+
+
+def _find_saturation(image: Image, source: ImageSource, name: str) -> float | None:
+    """Grey level from which on pixels are left out; None where none are."""
+    if not image.exclude_saturated:
+        if image.saturation is not None:
+            raise InputError(f"{name}: saturation = {image.saturation:g} goes with exclude_saturated=True")
+        return None
+    return find_saturation(source) if image.saturation is None else image.saturation
+
+
+def _used_pixels(image: Image, source: ImageSource, name: str) -> NDArray[np.bool_] | None:
+    """Where pixels are used, (height, width); None where all are."""
+    used = None if image.mask is None else _read_given_mask(image.mask, source, name)
+    if isinstance(image.pixels, np.ma.MaskedArray):
+        not_masked = ~np.asarray(np.ma.getmaskarray(image.pixels))  # type: ignore[no-untyped-call]  # numpy 1.26
+        used = not_masked if used is None else used & not_masked
+    return used
+
+
+def _read_given_mask(mask: NDArray[Any] | str | Path, image: ImageSource, name: str) -> NDArray[np.bool_]:
+    if isinstance(mask, str | Path):
+        return read_mask(Path(mask), image.width, image.height)
+    values = _convert_to_pixels(mask, f"{name}'s mask")
+    if values.shape != (image.height, image.width):
+        raise InputError(f"{name}: its mask has shape {values.shape}, the image ({image.height}, {image.width}); "
+                         "give one value for each pixel")
+    return np.asarray(values != 0)
+
+
+def _convert_to_pixels(given: Any, name: str) -> NDArray[Any]:
+    """Convert what was given; numpy refuses ragged lists, and makes arrays of objects of what it does not know."""
+    try:
+        values = np.asarray(given)
+    except ValueError as error:
+        raise InputError(f"{name}: rows of different lengths, an array (height, width) expected") from error
+    if values.dtype == object:
+        raise InputError(f"{name}: no array of grey levels, but {values.dtype.name}s; give an array (height, width), a "
+                         "file or ddic.Image")
+    return values
+
+
+_EXPECTED = "give one of ddic.structured_mesh or meshio, or the arrays (nodes, cells)"
+
+
+def convert_given_mesh(given: Mesh | meshio.Mesh | tuple[Any, Any], mapping: Similarity) -> Mesh:
+    """Convert a mesh that the user gave to one in pixels, not yet repaired; ``mapping`` is from its units to these.
+
+    Raises InputError where it is no plane mesh of triangles and quadrilaterals.
+    """
+    if isinstance(given, tuple):
+        if len(given) != 2:
+            raise InputError(f"mesh: a tuple of {len(given)}, two arrays expected; {_EXPECTED}")
+        given = _from_arrays(*given)
+    if isinstance(given, Mesh):
+        if mapping == Similarity():
+            # The nodes stay to the last digit.
+            return given
+        return replace(given, nodes=np.ascontiguousarray(mapping.to_pixels(given.nodes)), mapping=mapping)
+    if _is_meshio_like(given):
+        return convert_mesh(given, "mesh", mapping)
+    raise InputError(f"mesh: {type(given).__name__} is no mesh; {_EXPECTED}")
+
+
+def _is_meshio_like(given: Any) -> bool:
+    """Whether it has points and blocks of cells; PyVista's cells are one array of numbers."""
+    if not (hasattr(given, "points") and hasattr(given, "cells") and hasattr(given, "cell_sets")):
+        return False
+    return all(hasattr(block, "type") and hasattr(block, "data") for block in given.cells)
+
+
+def _from_arrays(given_nodes: Any, given_cells: Any) -> Mesh:
+    by_n_nodes = {kind.n_nodes: kind for kind in CELL_TYPES.values()}
+    widths = " or ".join(str(n) for n in sorted(by_n_nodes))
+    nodes, cells = _convert_rows(given_nodes, "nodes"), _convert_rows(given_cells, "cells")
+    if nodes.ndim != 2 or nodes.shape[1] != 2 or nodes.dtype.kind not in "iuf":
+        raise InputError(f"mesh: nodes of shape {nodes.shape} and type {nodes.dtype}, numbers of shape (n_nodes, 2) "
+                         "expected: column and row of each, pixels")
+    if cells.ndim != 2 or cells.shape[1] not in by_n_nodes or cells.dtype.kind not in "iu":
+        raise InputError(f"mesh: cells of shape {cells.shape} and type {cells.dtype}, whole numbers of shape (n_cells, "
+                         f"{widths}) expected: the nodes of each cell, numbered from 0")
+    kind = by_n_nodes[cells.shape[1]]
+    return build_mesh(nodes.astype(np.float64), [(kind, cells.astype(np.int64))])
+
+
+def _convert_rows(given: Any, name: str) -> NDArray[Any]:
+    try:
+        return np.asarray(given)
+    except ValueError as error:
+        # Rows of different lengths.
+        raise InputError(f"mesh: {name} in rows of different lengths; give a mesh of triangles and quadrilaterals "
+                         "together as one of meshio") from error
+
+
+StartLike = Result | tuple[Any, Any]
+"""A result, or points (n, 2) and their displacement (n, 2)."""
+
+
+def convert_start(team: Team, given: StartLike | None, reference: MaskedSource) -> GivenStart | None:
+    """Convert a displacement that the user gave, pixels of the far reference image; None where none is; collective.
+
+    Raises InputError on all ranks, where one of them has something else, or nothing.
+    """
+    converted = team.together(lambda: None if given is None else _convert_start(given, reference))
+    if team.sum(int(given is not None)) not in (0, team.size):
+        raise InputError("start: given on some of the ranks; under mpirun give it on every rank")
+    return converted
+
+
+def _convert_start(given: Any, reference: MaskedSource) -> GivenStart:
+    if isinstance(given, Result):
+        return keep_displacement(given, "the given result" if given.path == Path() else str(given.path))
+    if not isinstance(given, tuple | list) or len(given) != 2:
+        raise InputError(f"start: {type(given).__name__} given; give a result, or a pair (points, displacement) of "
+                         "arrays (n, 2), pixels of the reference image")
+    points, displacement = _convert_numbers(given[0], "points"), _convert_numbers(given[1], "displacement")
+    if points.shape != displacement.shape:
+        raise InputError(f"start: {len(points)} points and {len(displacement)} displacements; give one of each point")
+    converted = StartPoints(points, displacement, "start")
+    check_start_points(converted, reference.image.width, reference.image.height)
+    return converted
+
+
+def _convert_numbers(given: Any, what: str) -> NDArray[np.float64]:
+    try:
+        array = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"start: {what}: {error}; give an array (n, 2) of numbers, pixels") from error
+    if array.ndim != 2 or array.shape[1] != 2 or not len(array):
+        raise InputError(f"start: {what}: an array of shape {array.shape}, (n, 2) expected: x and y of each point, "
+                         "pixels")
+    return array

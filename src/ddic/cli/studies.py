@@ -1,0 +1,230 @@
+"""``ddic sweep``: a cut-off wavelength and an element size, chosen by trying them out.
+
+``ddic uncertainty``: errors of known displacements of one's own reference image.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ddic.cli.failures import abort_quietly, failures_as_lines, show_failure, take_closed_pipes_as_errors
+from ddic.errors import InputError, is_disk_failure
+
+if TYPE_CHECKING:
+    from ddic.api.studies import Uncertainty
+    from ddic.parallel.team import Team
+    from ddic.results.sweep import Sweep
+
+LOG_WIDTH = 160
+"""Characters of a row where nobody watches."""
+
+
+@click.command()
+@click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
+@click.option("--lengths", default=None, metavar="L,L,...",
+              help="Cut-off wavelengths, px; 0 for no regularization.  [default: none and nine about the case's own]")
+@click.option("--elements", default=None, metavar="H,H,...",
+              help="Sizes of the elements of a structured mesh, px.  [default: five about the case's own]")
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder of the table and the figure; by default that of CASE.toml.")
+def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Path | None) -> None:
+    """Recommend a cut-off wavelength and an element size; alone or under mpirun.
+
+    Each is tried on the pair of the case and on virtual images made from its reference image: the measured field,
+    roughened, applied to it, with noise as it was measured. Writes CASE.sweep.csv and CASE.sweep.png.
+    """
+    # Imported here because MPI, PETSc and numba start with them, which --help does not need.
+    from ddic.parallel.team import Team
+
+    team = Team.world()
+    take_closed_pipes_as_errors()
+    folder = case_file.parent if output is None else output
+    try:
+        chosen = team.together(lambda: (_parse_candidates(lengths, "--lengths"),
+                                        _parse_candidates(elements, "--elements")))
+        team.on_root(lambda: _check_outputs(case_file, folder))
+        found = _try_all(team, case_file, *chosen)
+        lines = team.on_root(lambda: _write_sweep(found, folder, case_file.stem))
+    except Exception as error:
+        code = show_failure(team, error)
+        abort_quietly(team, code)
+        sys.exit(code)
+    if team.is_root:
+        _print_table(found)
+        click.echo("\n".join(lines))
+
+
+def _parse_candidates(text: str | None, option: str) -> list[float] | None:
+    return None if text is None else _parse_numbers(text, option, "16,32,64")
+
+
+def _parse_numbers(text: str, option: str, example: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"{option} {text}: give numbers with commas between them, {example} for instance") from error
+
+
+def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements: list[float] | None) -> Sweep:
+    """Sweep, with a bar where somebody watches; collective."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    from ddic.api.studies import choose_regularization
+    from ddic.cli.console import is_on_terminal
+
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True,
+                  disable=not (team.is_root and is_on_terminal())) as bar:
+        task = bar.add_task("")
+
+        def advance(what: str, count: int) -> None:
+            bar.update(task, description=what, total=count)
+            bar.advance(task)
+
+        return choose_regularization(case_file, wavelengths=lengths, element_sizes=elements, advance=advance)
+
+
+def _write_sweep(found: Sweep, folder: Path, stem: str) -> list[str]:
+    """Write table and figure; returns the lines that say what was found and where it is."""
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.curves import draw_sweep
+    from ddic.results.sweep import collect_by_size, list_failures, write_sweep
+
+    table, figure = _list_outputs(folder, stem)
+    best = found.best
+    title = f"recommended: {best.candidate.describe()} (error of {best.virtual_error:.2g} px on the virtual images)"
+    try:
+        with made_folder(folder), replaced_together() as files:
+            write_sweep(found, table, files)
+            save_figure(draw_sweep(collect_by_size(found), title), figure, files=files)
+    except OSError as error:
+        if is_disk_failure(error):
+            raise
+        raise InputError(f"{folder}: cannot be written to ({error.strerror}); choose another --output") from error
+    noise = f"noise of an image, from the residual: {found.camera_noise:.2f} grey levels"
+    said = [found.describe_recommendation(), "", found.describe_case(), ""]
+    return [*list_failures(found), noise, *said, str(table), str(figure)]
+
+
+def _check_outputs(case_file: Path, folder: Path) -> None:
+    """Refuse outputs that would replace an input."""
+    from ddic.case.loader import load_case
+    from ddic.case.own_outputs import PICTURE, TRIALS, require_own_output
+
+    for path, kind in zip(_list_outputs(folder, case_file.stem), (TRIALS, PICTURE), strict=True):
+        require_own_output(path, kind, load_case(case_file).list_inputs())
+
+
+def _list_outputs(folder: Path, stem: str) -> tuple[Path, Path]:
+    """Table and figure of a case file."""
+    return folder / f"{stem}.sweep.csv", folder / f"{stem}.sweep.png"
+
+
+def _print_table(found: Sweep) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from ddic.cli.console import is_on_terminal
+    from ddic.results.sweep import COLUMNS, format_rows
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for name in COLUMNS:
+        table.add_column(escape(name), justify="right")
+    for row in format_rows(found):
+        table.add_row(*row, style="bold" if row[-1].endswith("<") else "")
+    # A batch log has no width: every row stays one line.
+    watched = is_on_terminal()
+    console = Console(highlight=False) if watched else Console(highlight=False, width=LOG_WIDTH, force_terminal=False)
+    console.print(table)
+
+
+@click.command()
+@click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
+@click.option("--sizes", default="8,16,32,64", show_default=True, help="Sizes of the elements, px.")
+@click.option("--displacements", type=click.IntRange(2), default=11, show_default=True,
+              help="Number of displacements from 0 to 1 px.")
+@click.option("--noise", type=click.FloatRange(0.0), default=0.0, show_default=True,
+              help="Standard deviation of noise that is added to both images, grey levels.")
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+              help="Folder of the table and the figure; by default that of CASE.toml.")
+def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, output: Path | None) -> None:
+    """Measure known displacements of the case's reference image with continuous and with enriched elements.
+
+    All moves by 0 to 1 px, or the sides of a line slide by as much: the straight line through the ends of the case's
+    first discontinuity, or one at 27 degrees. The case's correlation, regularization and gauss_newton hold; masks do
+    not. Prints the largest standard deviation over displacements, and writes CASE.uncertainty.csv and
+    CASE.uncertainty.png; of a large image its middle is taken.
+    """
+    # Imported here because they bring numba, PETSc and matplotlib, which --help does not need.
+    from ddic.api.studies import BASES, estimate_uncertainty
+    from ddic.case.loader import load_case
+    from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
+    from ddic.images.window import Window
+    from ddic.io.image_file import open_image
+    from ddic.io.replace_on_exit import made_folder, replaced_together
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.curves import draw_uncertainty
+
+    folder = case_file.parent if output is None else output
+    table, figure = (folder / f"{case_file.stem}.uncertainty.{ending}" for ending in ("csv", "png"))
+    with failures_as_lines(folder):
+        loaded = load_case(case_file)
+        for path, kind in ((table, UNCERTAINTY), (figure, PICTURE)):
+            require_own_output(path, kind, loaded.list_inputs())
+        case = loaded.case
+        image = open_image(case.images.reference)
+        of_elements = _parse_numbers(sizes, "--sizes", "8,16,32")
+        line = case.discontinuity[0] if case.discontinuity else None
+        said = case.model_dump(include={"correlation", "regularization", "gauss_newton"}, mode="json")
+        options = {name: values for name, values in said.items() if values}
+        section = None if line is None else line.model_dump(mode="json")
+        grey = image.read(Window(0, 0, image.width, image.height))
+        found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise,
+                                     options=options, discontinuity=section)
+        with made_folder(folder), replaced_together() as files:
+            _write_errors(found, files.begin(table))
+            save_figure(draw_uncertainty(found.sizes, found.deviation, BASES), figure, files=files)
+    take_closed_pipes_as_errors()
+    for line_of_table in _list_deviations(found):
+        click.echo(line_of_table)
+    click.echo(table)
+    click.echo(figure)
+
+
+def _write_errors(found: Uncertainty, path: Path) -> None:
+    """A row for each kind, element size, displacement and basis."""
+    from ddic.api.studies import BASES
+
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(["kind", "element_size_px", "displacement_px", "elements", "bias_px", "deviation_px"])
+        for kind, deviation in found.deviation.items():
+            for s, size in enumerate(found.sizes):
+                for k, amplitude in enumerate(found.amplitudes):
+                    table.writerows([kind, f"{size:g}", f"{amplitude:g}", basis, f"{found.bias[kind][s, k, b]:.4g}",
+                                     f"{deviation[s, k, b]:.4g}"] for b, basis in enumerate(BASES))
+
+
+def _list_deviations(found: Uncertainty) -> list[str]:
+    """Lines of a table: standard deviations, the largest over displacements."""
+    from ddic.api.studies import BASES
+
+    lines = ["standard deviation of the displacement [px], the largest over displacements",
+             f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.sizes)]
+    for kind, deviation in found.deviation.items():
+        for b, basis in enumerate(BASES):
+            largest = deviation[:, :, b].max(axis=1)
+            lines.append(f"{kind:<16}{basis:<12}" + "".join(f"{value:12.2e}" for value in largest))
+    if found.noise:
+        for b, basis in enumerate(BASES):
+            listed = "".join(f"{value:12.2e}" for value in found.predicted_noise[:, b])
+            lines.append(f"{'predicted noise':<16}{basis:<12}{listed}")
+    return lines
