@@ -6,6 +6,9 @@ Any other row that does fails CI, and so does one of these as soon as all of its
 from __future__ import annotations
 
 OPEN: dict[tuple[str, str], str] = {
+    ("clean", "frame_code"):
+        "6,508 lines before series, sweeps and virtual images came back to methods/ from results/, which f43a80d had "
+        "outside of what is counted",
     ("clean", "whole_commands"):
         "three looks at the frame, checks of the mesh, ranges and strains at nodes, which a354d27 does without, take "
         "what is saved elsewhere; that commit leaves a node of the tension pair 0.58 px off, this one none by 0.016 px",
