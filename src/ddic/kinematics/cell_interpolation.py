@@ -64,7 +64,8 @@ class CellInterpolation:
         for nodes that a cell does not have.
         """
         of_corners = np.einsum("eam,eim->eai", self.shapes[self.kinds[cells]], moments)
-        return np.asarray(of_corners.reshape(len(moments), -1))
+        # A rank may have none of the cells.
+        return np.asarray(of_corners.reshape(len(moments), int(np.prod(of_corners.shape[1:]))))
 
     def assemble_matrix(self, cells: NDArray[np.float64],
                         numbers: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
