@@ -30,7 +30,7 @@ from ddic.case.loader import load_case
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.io.result_reader import read_result
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.views import open_frame_views
@@ -252,7 +252,7 @@ def measure_resident() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * PAGE
 
 
-def find_losing(inputs: Inputs, frame: Frame, session: Session, measurement: Measurement) -> list[int]:
+def find_losing(inputs: Inputs, frame: Frame, session: DecomposedSession, measurement: Measurement) -> list[int]:
     """Find the owned subdomains some of whose pixels a frame does not show.
 
     Parameters
@@ -261,7 +261,7 @@ def find_losing(inputs: Inputs, frame: Frame, session: Session, measurement: Mea
         Settings.
     frame : Frame
         The deformed images.
-    session : Session
+    session : DecomposedSession
         With the reference's pixels.
     measurement : Measurement
         Of the frame.
@@ -285,7 +285,7 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
     begin = time.perf_counter()
     inputs, _ = open_inputs(team, loaded)
     last: Measurement | None = None
-    with Session(team, inputs, Silence(), PhaseClock()) as session:
+    with DecomposedSession(team, inputs, Silence(), PhaseClock()) as session:
         preparation = time.perf_counter() - begin
         for number, deformed in enumerate(task["deformed"], start=1):
             section = loaded.case.images.model_copy(update={"deformed": Path(deformed)})
@@ -308,7 +308,7 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
                 print(json.dumps(record), flush=True)
 
 
-def describe(team: Team, session: Session, before: list[Any]) -> dict[str, Any]:
+def describe(team: Team, session: DecomposedSession, before: list[Any]) -> dict[str, Any]:
     """Say what a session has done so far, summed over ranks; collective."""
     problem = session.problem
     renewed = [system.subdomain.index for old, system in zip(before, problem.solver.assembly.systems, strict=True)

@@ -182,9 +182,10 @@ def _judge_words(source: Source) -> list[Row]:
     twice = sorted(name for name, count in defined.items() if count > 1)
     return [
         Row("nodes of the syntax tree a line of code, in the middle of the modules of src/", f"at most {MOST_DENSE}",
-            f"{dense:.2f}", dense <= MOST_DENSE),
+            f"{dense:.2f}", dense <= MOST_DENSE, judged_small=False),
         Row("public names that src/ defines twice", f"at most {MOST_TWICE}",
-            f"{len(twice)}: {', '.join(twice) or 'none'}", len(twice) <= MOST_TWICE),
+            f"{len(twice)}: {', '.join(twice) or 'none'}", len(twice) <= MOST_TWICE,
+            judged_small=False),
     ]
 
 
@@ -203,7 +204,7 @@ def _judge_imports(source: Source) -> list[Row]:
             for what, parts in WAYS.items()]
     return [
         Row("import statements of src/, lines of all code", f"at most {MOST_IMPORTS:.0%}", f"{share:.1%}",
-            share <= MOST_IMPORTS),
+            share <= MOST_IMPORTS, judged_small=False),
         _judge("modules of src/ that one module of their own package imports, and no other", len(alone), MOST_ALONE),
         Row("circles of modules that import each other", "none", _listed([" ".join(one) for one in circles]),
             not circles),
@@ -213,7 +214,7 @@ def _judge_imports(source: Source) -> list[Row]:
 
 
 def _judge(what: str, count: int, most: int) -> Row:
-    return Row(what, f"at most {most:,}", f"{count:,}", count <= most)
+    return Row(what, f"at most {most:,}", f"{count:,}", count <= most, judged_small=False)
 
 
 def _judge_way(what: str, parts: list[list[str]]) -> Row:

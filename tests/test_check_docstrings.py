@@ -123,12 +123,12 @@ def test_one_sentence_is_enough_where_nobody_implements_or_imports_it(tmp_path: 
     short = 'def add(a: int) -> int:\n    """Add."""\n    return a\n'
     begun = short.replace("Add.", "Add.\\n\\n    Parameters\\n    ----------\\n    a : int\\n        One.\\n    ")
     found = {}
-    for place in ("api/sums.py", "solvers/sums.py"):
+    for place in ("api/measure.py", "solvers/sums.py"):
         file = tmp_path / "src" / "ddic" / place
         file.parent.mkdir(parents=True)
         found[place] = [codes_of(file, text) for text in (short, begun)]
     assert found["solvers/sums.py"] == [[], ["RT01"]]
-    assert found["api/sums.py"] == [["PR01", "RT01"], ["RT01"]]
+    assert found["api/measure.py"] == [["PR01", "RT01"], ["RT01"]]
 
 
 def codes_of(file: Path, source: str) -> list[str]:

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from ddic.case.loader import load_case
 from ddic.inputs.inputs import open_inputs
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
@@ -31,7 +31,7 @@ def measure_start(team: Team, path: Path) -> None:
     clock = PhaseClock(waiting=team.waiting)
     inputs, frame = open_inputs(team, load_case(path))
     team.wait_for_all()
-    with Session(team, inputs, Silence(), clock, frame) as session:
+    with DecomposedSession(team, inputs, Silence(), clock, frame) as session:
         result = gather(session.measure(frame))
     truth = load_truth(path.with_name("truth.json")).displacement(result.mesh.nodes)
     largest = float(np.linalg.norm(result.displacement - truth, axis=1).max())

@@ -21,6 +21,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import click
+
 MOST_ADDRESSES = 6 << 30
 """Bytes of address space: what asks for more fails in this process and does not fill the machine."""
 
@@ -36,8 +38,11 @@ def serve(requests: int, answers: int) -> None:
     """Run commands until no request comes."""
     # Who asks may be killed, and this process hang: neither would end the other.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    for name in ("check", "crack", "info", "plot", "probe", "report", "run", "sweep"):
-        importlib.import_module(f"ddic.cli.{name}")
+    from ddic.cli.app import command_line
+
+    everything = click.Context(command_line)
+    for name in command_line.list_commands(everything):
+        command_line.get_command(everything, name)
     for name in IMPORTED_LATER:
         importlib.import_module(name)
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))

@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from ddic.case.loader import LoadedCase, load_case
 from ddic.inputs.inputs import open_inputs
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
@@ -42,7 +42,7 @@ def measure_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, fl
     team.wait_for_all()
     start = time.process_time()
     inputs, frame = open_inputs(team, loaded)
-    with Session(team, inputs, Silence(), clock, frame) as session:
+    with DecomposedSession(team, inputs, Silence(), clock, frame) as session:
         measurement = session.measure(frame)
         seconds = time.process_time() - start
     publish(measurement, Destination(loaded.case.output.file, times=gather_phase_times(team, clock)))

@@ -76,7 +76,7 @@ class ConvergenceError(DdicError):
     Attributes
     ----------
     last : object or None
-        What was found before: a solver's solution, of which a recipe makes a measurement that did not converge. None
+        What was found before: a solver's solution, of which a method makes a measurement that did not converge. None
         where nothing was, or nothing can be shown.
     result : Result or None
         The same for who measures from Python: the last field, not converged, on every rank.

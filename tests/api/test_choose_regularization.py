@@ -19,7 +19,7 @@ from ddic.cli.studies import sweep
 from ddic.errors import InputError
 from ddic.inputs.inputs import Inputs
 from ddic.methods import sweep as sweeping
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.team import Team
 
 SIDE = 200
@@ -95,13 +95,13 @@ def test_candidates_that_are_prepared_twice_find_the_same(wave_case: Path, monke
     kept = ddic.choose_regularization(wave_case, **settings)
     monkeypatch.setattr(sweeping, "KEPT_PIXELS", 0)
     opened: list[Inputs] = []
-    prepared = sweeping.Session
+    prepared = sweeping.DecomposedSession
 
-    def prepare(team: Team, inputs: Inputs, *others: Any) -> Session:
+    def prepare(team: Team, inputs: Inputs, *others: Any) -> DecomposedSession:
         opened.append(inputs)
         return prepared(team, inputs, *others)
 
-    monkeypatch.setattr(sweeping, "Session", prepare)
+    monkeypatch.setattr(sweeping, "DecomposedSession", prepare)
     again = ddic.choose_regularization(wave_case, **settings)
     # Twice each, and once more for the truth.
     assert len(opened) == 5

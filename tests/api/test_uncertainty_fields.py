@@ -106,7 +106,7 @@ def test_a_step_that_fails_for_them_does_not_lose_the_field(tmp_path: Path, monk
     def fail(*_: object) -> None:
         raise as_collective(ConvergenceError("the linear step does not converge"))
 
-    monkeypatch.setattr("ddic.results.field_uncertainty.estimate_uncertainty", fail)
+    monkeypatch.setattr("ddic.results.field_uncertainty.estimate_field_uncertainty", fail)
     write_images(tmp_path)
     case = write_case(tmp_path, "[output]\nuncertainty = true\n")
     ears = Ears()

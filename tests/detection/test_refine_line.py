@@ -6,10 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from accept.support.opened_pair import Opened, render
 from ddic.detection.line_of_case import LEAST_GAIN
-from ddic.detection.refine_line import find_move, refine_line
+from ddic.detection.refine_line import UncertainLine, find_move, refine_line
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
@@ -32,13 +33,17 @@ def _render(bent: bool, jumps: bool) -> Images:
     return Images(source(pair[0]), source(pair[1]), np.ones((SIDE, SIDE), np.uint8), 3, "none")
 
 
+def uncertain(line: NDArray[np.float64]) -> UncertainLine:
+    return UncertainLine(Discontinuities((line,), ("both",)), 0, 3.0)
+
+
 @pytest.mark.parametrize(("bent", "moves"), [(False, [2.0, 2.0]), (False, [-4.0, 5.0]), (True, [2.0, 2.0, 2.0]),
                                              (True, [-3.0, 1.5, 3.0])])
 def test_ends_and_bends_are_found(bent: bool, moves: list[float]) -> None:
     line = BENT if bent else STRAIGHT
     given = line + np.array(moves)[:, None] * np.array([0.0, 1.0])
     start = CutField(MESH, np.zeros(MESH.nodes.shape))
-    found = refine_line(_render(bent, True), MESH, start, Discontinuities((given,), ("both",)), 0, 3.0, 0.25).line
+    found = refine_line(_render(bent, True), MESH, start, uncertain(given), 0.25).line
     # Inside the mesh. One pixel of 250 along the line decides at a time; a bend is known from what is about it.
     columns = np.linspace(16.0, 240.0, 100)
     away = np.interp(columns, *found.T) - np.interp(columns, *line.T)
@@ -48,11 +53,11 @@ def test_ends_and_bends_are_found(bent: bool, moves: list[float]) -> None:
 
 def test_a_line_that_does_not_open_is_not_moved() -> None:
     cut = cut_mesh(MESH, [STRAIGHT])
-    move = find_move(_render(False, False), cut, np.zeros(cut.mesh.nodes.shape), Discontinuities((STRAIGHT,)), 0, 3.0)
+    move = find_move(_render(False, False), cut, np.zeros(cut.mesh.nodes.shape), uncertain(STRAIGHT))
     assert move.distance == 0.0
     # Sides that part by what noise leaves in coarse elements tell nothing either.
     noise = np.random.default_rng(0).normal(0.0, 0.02, cut.mesh.nodes.shape)
-    assert find_move(_render(False, False), cut, noise, Discontinuities((STRAIGHT,)), 0, 3.0).gain < LEAST_GAIN
+    assert find_move(_render(False, False), cut, noise, uncertain(STRAIGHT)).gain < LEAST_GAIN
 
 
 def test_a_line_in_its_place_stays() -> None:
@@ -60,5 +65,5 @@ def test_a_line_in_its_place_stays() -> None:
     assert cut.mesh.parts is not None
     sides = Opened((BENT,), (JUMP,))
     own = find_points_on_own_side(cut.mesh)
-    move = find_move(_render(True, True), cut, sides.displacement(own), Discontinuities((BENT,)), 0, 3.0)
+    move = find_move(_render(True, True), cut, sides.displacement(own), uncertain(BENT))
     assert move.distance < 0.25

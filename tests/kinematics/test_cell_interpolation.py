@@ -71,3 +71,9 @@ def test_sizes() -> None:
     # Also where the last nodes belong to no cell.
     bare = Mesh(np.vstack([mesh.nodes, [[99.0, 99.0]]]), mesh.connectivity, mesh.offsets, mesh.types)
     assert interpolate_cells(bare).assemble_vector(np.ones((mesh.n_cells, 2, 4))).shape == (26,)
+
+
+def test_no_cells_have_no_forces_at_their_corners() -> None:
+    interpolation = interpolate_cells(grid_mesh(2, 2, (5.0, 5.0)))
+    taken = interpolation.take_to_corners(np.zeros(0, dtype=np.int64), np.zeros((0, 2, 4)))
+    assert taken.shape == (0, 8)

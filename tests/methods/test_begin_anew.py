@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ddic.case.loader import load_case
 from ddic.inputs.cameras import open_frame, open_on_all_ranks
 from ddic.inputs.inputs import open_inputs
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
@@ -29,7 +29,7 @@ SOLVERS = {
 REGULARIZED = "[regularization]\ncut_off_wavelength = 48\n"
 
 
-def measure(session: Session, team: Team, path: Path) -> list[NDArray[np.float64]]:
+def measure(session: DecomposedSession, team: Team, path: Path) -> list[NDArray[np.float64]]:
     """Unknowns of the frame g.tif."""
     frame = open_frame(load_case(path).case, open_on_all_ranks(team))
     return [np.array(q) for q in session.measure(frame).q]
@@ -59,9 +59,9 @@ def test_a_frame_comes_to_the_same_bits_after_another(shared_path: Path, solver:
     MPI.COMM_WORLD.barrier()
     case = shared_path / "case.toml"
     inputs, _ = open_inputs(team, load_case(case))
-    with Session(team, inputs, Silence(), PhaseClock()) as session:
+    with DecomposedSession(team, inputs, Silence(), PhaseClock()) as session:
         expected = measure(session, team, case)
-    with Session(team, inputs, Silence(), PhaseClock()) as session:
+    with DecomposedSession(team, inputs, Silence(), PhaseClock()) as session:
         measure(session, team, shared_path / "other" / "case.toml")
         session.begin_anew()
         again = measure(session, team, case)

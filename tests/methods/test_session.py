@@ -13,7 +13,7 @@ from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, open_inputs
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal
@@ -67,8 +67,8 @@ def open_frames(team: Team, folder: Path, numbers: range = range(len(FIELDS))) -
     return opened[0][0], [frame for _, frame in opened]
 
 
-def session_of(team: Team, inputs: Inputs, ears: Ears | None = None) -> Session:
-    return Session(team, inputs, ears or Ears(), PhaseClock())
+def session_of(team: Team, inputs: Inputs, ears: Ears | None = None) -> DecomposedSession:
+    return DecomposedSession(team, inputs, ears or Ears(), PhaseClock())
 
 
 @pytest.mark.parallel(RANKS)
@@ -124,7 +124,7 @@ def test_the_frame_that_is_known_beforehand_is_not_searched_twice(shared_path: P
     inputs, frames = open_frames(team, shared_path)
     notes = []
     for first_frame in (frames[0], None):
-        with Session(team, inputs, Ears(), PhaseClock(), first_frame) as session:
+        with DecomposedSession(team, inputs, Ears(), PhaseClock(), first_frame) as session:
             notes.append([session.measure(frame).notes for frame in frames[:2]])
     # Every frame has a start of its own, whenever it was sought.
     assert notes[0] == notes[1]

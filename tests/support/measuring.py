@@ -14,7 +14,7 @@ from ddic.case.loader import load_case
 from ddic.inputs.inputs import open_inputs
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
-from ddic.methods.dd_dic import Session
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Listener, Silence
@@ -30,7 +30,7 @@ def measure(team: Team, path: Path, listener: Listener | None = None,
     clock = clock or PhaseClock()
     inputs, frame = open_inputs(team, load_case(path))
     inputs = replace(inputs, choose_kinematics=choose_kinematics)
-    with Session(team, inputs, listener or Silence(), clock, frame) as session:
+    with DecomposedSession(team, inputs, listener or Silence(), clock, frame) as session:
         return session.measure(frame)
 
 

@@ -25,20 +25,17 @@ from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera, Frame, make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import accept_mesh, convert_mapping
-from ddic.inputs.rectangle import Rectangle, build_rectangle, check_rectangle, find_rectangle
 from ddic.io.input_file import as_path
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
-from ddic.methods.dd_dic import Session as DecomposedSession
-from ddic.methods.detect import find_discontinuity, is_line_wanted, measure_on_lines
-from ddic.methods.recipe import Recipe, prepare_recipe
+from ddic.methods.detect import is_line_wanted
+from ddic.methods.method import MethodSession, prepare_session
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.results.listener import Silence
-from ddic.results.measurement import Measurement
+from ddic.results.publishable import Publishable
 from ddic.results.publishing import Destination, gather, publish
 from ddic.results.run_files import keep_failed_run, remove_failed_field
-from ddic.results.separated import SeparatedMeasurement
 from ddic.start.given_start import GivenStart
 
 if TYPE_CHECKING:
@@ -64,9 +61,7 @@ class Session:
 
     def __init__(self, team: Team, inputs: Inputs) -> None:
         self._team, self._inputs = team, inputs
-        self._is_closed = False
-        # Where a line is to be found, the first deformed image is needed too.
-        self._recipe = None if is_line_wanted(inputs.case) else self._prepare(inputs)
+        self._session: MethodSession | None = prepare_session(team, inputs, Silence(), PhaseClock(waiting=team.waiting))
         # Unknowns of the last field alone: its images would stay in memory.
         self._last: Any = None
 
@@ -80,14 +75,12 @@ class Session:
     @property
     def n_assembled(self) -> int:
         """Times that this rank assembled M of a subdomain."""
-        self._require_open()
-        return self._recipe.problem.n_assembled if isinstance(self._recipe, DecomposedSession) else 0
+        return self._require_open().n_assembled
 
     @property
     def n_factorized(self) -> int:
         """Operators that this rank factorised."""
-        self._require_open()
-        return self._recipe.problem.solver.n_factorized if isinstance(self._recipe, DecomposedSession) else 0
+        return self._require_open().n_factorized
 
     def measure(self, deformed: ImageLike | Sequence[ImageLike], *, from_last: bool = False,
                 start: StartLike | None = None, output: str | Path | None = None) -> Result:
@@ -124,56 +117,30 @@ class Session:
 
     def close(self) -> None:
         """Free the factors; what was measured stays."""
-        if self._recipe is not None:
-            self._recipe.close()
-        self._recipe = None
+        if self._session is not None:
+            self._session.close()
+        self._session = None
         self._last = None
-        self._is_closed = True
 
-    def _require_open(self) -> None:
-        if self._is_closed:
+    def _require_open(self) -> MethodSession:
+        if self._session is None:
             raise InputError("session: it is closed; measure inside its with statement, or prepare another")
-
-    def _prepare(self, inputs: Inputs) -> Recipe:
-        return prepare_recipe(self._team, inputs, Silence(), PhaseClock(waiting=self._team.waiting))
+        return self._session
 
     def _measure_frame(self, frame: Frame, start: Any, output: Path | None) -> Result:
+        """Measure a frame, and publish it; a last field that did not converge is kept."""
         try:
-            return self._measure_converged(frame, start, output)
+            measured = self._require_open().measure(frame, start)
+            self._last = measured.unknowns
+            if output is not None:
+                publish(measured, Destination(output, self._inputs.case.output.flip_y))
+                remove_failed_field(self._team, output, self._start)
+            return gather(measured)
         except DdicError as error:
             keep_failed_run(self._team, error, Destination(output, self._inputs.case.output.flip_y), self._start)
             if isinstance(error, ConvergenceError):
                 _gather_last_field(error)
             raise
-
-    def _measure_converged(self, frame: Frame, start: Any, output: Path | None) -> Result:
-        if self._recipe is not None:
-            return self._measure_on_lines(self._recipe, frame, start, output)
-        clock = PhaseClock(waiting=self._team.waiting)
-        found = find_discontinuity(self._team, self._inputs, frame, Silence(), clock)
-        recipe = self._prepare(found)
-        if found.case.discontinuity:
-            self._inputs = found
-            return self._measure_on_lines(recipe, frame, start, output)
-        # Nothing jumps yet: the line is looked for again in the next image.
-        with recipe:
-            return self._publish(recipe.measure(frame, start), output)
-
-    def _measure_on_lines(self, recipe: Recipe, frame: Frame, start: Any, output: Path | None) -> Result:
-        """Measure a frame; where lines are off they are kept as it corrects them."""
-        # Kept where measuring fails, too.
-        self._recipe = recipe
-        clock = PhaseClock(waiting=self._team.waiting)
-        self._recipe, self._inputs, measurement = measure_on_lines(
-            recipe, self._inputs, frame, start, self._prepare, Silence(), clock)
-        return self._publish(measurement, output)
-
-    def _publish(self, measurement: Measurement | SeparatedMeasurement, output: Path | None) -> Result:
-        self._last = measurement.unknowns
-        if output is not None:
-            publish(measurement, Destination(output, self._inputs.case.output.flip_y))
-            remove_failed_field(self._team, output, self._start)
-        return gather(measurement)
 
     @property
     def _start(self) -> Path | None:
@@ -237,7 +204,7 @@ def _check_same_size(image: MaskedSource, reference: MaskedSource, name: str) ->
 def _gather_last_field(error: ConvergenceError) -> None:
     """Bring the last field together as a result that did not converge; collective."""
     last, error.last = error.last, None
-    if isinstance(last, Measurement | SeparatedMeasurement):
+    if isinstance(last, Publishable):
         error.result = gather(last)
 
 
@@ -324,9 +291,6 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
     keeps = n_frames > 1
     reference = open_given_image(team, source, "reference image", keeps=keeps)
     camera = make_first_camera(reference, loaded.case.images.noise)
-    if loaded.case.pgd is not None:
-        rectangle = team.together(lambda: _choose_rectangle(chosen, loaded, given, reference))
-        return Session(team, Inputs(loaded.case, (camera,), _build_no_mesh, rectangle=rectangle))
     if keeps and is_line_wanted(loaded.case):
         # The first frame says where the line is, and the mesh waits for it.
         given = copy.deepcopy(given)
@@ -336,7 +300,8 @@ def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | t
         check_mesh(loaded, whole, team.size)
         return whole, None
 
-    return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics), n_frames=n_frames))
+    return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics), given_mesh=given,
+                                n_frames=n_frames))
 
 
 def _look(team: Team, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None,
@@ -352,19 +317,6 @@ def _look(team: Team, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None,
     loaded = LoadedCase(case, Path("options"), "")
     check_ranks(loaded, team.size)
     return chosen, loaded, None if mesh is None else convert_given_mesh(mesh, convert_mapping(case.mesh.mapping))
-
-
-def _choose_rectangle(chosen: Options, loaded: LoadedCase, mesh: Mesh | None, reference: MaskedSource) -> Rectangle:
-    """What PGD-DIC measures of images in memory; raises InputError where it cannot."""
-    if chosen.kinematics is not None:
-        _refuse_kinematics()
-    rectangle = build_rectangle(loaded.case) if mesh is None else find_rectangle(mesh)
-    check_rectangle(loaded.case, rectangle, reference.image.width, reference.image.height)
-    return rectangle
-
-
-def _build_no_mesh() -> tuple[Mesh, None]:
-    raise TypeError("PGD-DIC measures without a mesh")
 
 
 def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | None) -> Options:
@@ -383,13 +335,7 @@ def _open_case(team: Team, source: object, mesh: object, options: Options | Mapp
     file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
 
     inputs, frame = open_inputs(team, team.on_root(lambda: load_given_case(source, Path(), team.size, file)))
-    if inputs.rectangle is not None and chosen.kinematics is not None:
-        team.together(_refuse_kinematics)
     return replace(inputs, choose_kinematics=check_kinematics(chosen.kinematics)), frame
-
-
-def _refuse_kinematics() -> None:
-    raise InputError("kinematics: [pgd] has products of functions for unknowns; leave one of them out")
 
 
 def _pair(source: object) -> tuple[Any, Any]:

@@ -17,6 +17,7 @@ from scipy import ndimage
 from ddic.api.measure import measure
 from ddic.api.options import load_given_case, make_case
 from ddic.case.loader import LoadedCase
+from ddic.case.methods import find_method_section
 from ddic.case.named_files import list_deformed
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
@@ -83,8 +84,9 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
 
 def _refuse_impossible(case: Case, wavelengths: Sequence[float] | None, sizes: Sequence[float] | None) -> None:
     """Refuse cases of other methods, and sizes that are none."""
-    if case.pgd is not None:
-        raise InputError("[pgd]: a sweep measures finite elements; leave [pgd] out")
+    section = find_method_section(case)
+    if section is not None:
+        raise InputError(f"[{section}]: a sweep measures finite elements; leave [{section}] out")
     if case.near:
         raise InputError("[[near]]: a sweep knows one camera; leave [[near]] out")
     if sizes is not None and case.mesh.structured is None:

@@ -11,18 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
+from ddic.case.methods import find_method
 from ddic.case.named_files import list_cameras, list_named_files
 from ddic.case.own_outputs import check_output
 from ddic.case.schema import Case
 from ddic.check.images import check_decodable, check_images, check_texture
 from ddic.check.mesh import CheckedMesh, check_mesh_uses, check_most_ranks
 from ddic.check.near import check_near_mapping
-from ddic.check.report import CheckReport, describe_inputs, describe_rectangle
+from ddic.check.report import CheckReport, describe_inputs
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import assign_cells, collect_measured_cells, open_cameras
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
-from ddic.inputs.rectangle import build_rectangle, check_rectangle
 from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.image_file import open_image
 from ddic.io.input_file import FileStamps
@@ -31,7 +31,6 @@ from ddic.io.series_reader import read_frame_or_last
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.partition.ties import Tying
-from ddic.separated.band_sums import N_BANDS
 from ddic.solvers.petsc import require_packages
 
 
@@ -85,15 +84,12 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
         if case.start.from_result is not None:
             require_known_displacement(read_frame_or_last(case.start.from_result, case.start.frame, "start.frame =")[0])
     points = _check_start_points(loaded, reference, problems)
-    if case.pgd is None:
-        report = _check_on_mesh(loaded, reference, points, problems)
-    else:
-        report = _check_on_rectangle(loaded, reference, problems)
+    report: CheckReport | None = find_method(case).check(loaded, reference, points, problems)
     with problems.gathered():
         check_ranks(loaded, 1 if n_ranks is None else n_ranks)
     if report is None or problems.lines or of_keys:
         raise InputError([*of_keys, *problems.lines])
-    if n_ranks is not None and case.pgd is None:
+    if n_ranks is not None:
         check_most_ranks(loaded, report.most_ranks, n_ranks)
     return report
 
@@ -113,19 +109,8 @@ def _case_of_points(loaded: LoadedCase) -> Path | None:
     return None if loaded.case.start.points is None else loaded.path
 
 
-def _check_on_rectangle(loaded: LoadedCase, reference: ImageSource | None, problems: Problems) -> CheckReport | None:
-    """Check the rectangle of a case with [pgd] and what refers to it."""
-    if reference is None:
-        return None
-    with problems.gathered(loaded.path):
-        rectangle = build_rectangle(loaded.case)
-        check_rectangle(loaded.case, rectangle, reference.width, reference.height)
-        return describe_rectangle(loaded.case, reference, rectangle)
-    return None
-
-
-def _check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
-                   problems: Problems) -> CheckReport | None:
+def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
+                  problems: Problems) -> CheckReport | None:
     """Check the mesh of a case and what refers to it; a mesh without problems is kept for the measurement."""
     case = loaded.case
     checked = _build_mesh(loaded, reference, problems)
@@ -181,16 +166,15 @@ def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> NDArray[np.int
 
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
+    """Refuse, with an InputError, a number of ranks on which the case's method cannot measure it."""
+    find_method(loaded.case).check_ranks(loaded, n_ranks)
+
+
+def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
     """Refuse more ranks than a case has subdomains, and solvers that PETSc has not on so many.
 
-    Raises InputError where a rank would have no subdomain, or no rows of the images, or PETSc lacks what the solver
-    needs.
+    Raises InputError where a rank would have no subdomain, or PETSc lacks what the solver needs.
     """
-    if loaded.case.pgd is not None:
-        if n_ranks > N_BANDS:
-            raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
-                             f"were started; start at most {N_BANDS}")
-        return
     solver = loaded.case.solver
     require_packages(str(loaded.path), solver.method, solver.local_inverse, n_ranks)
     if solver.method == "monolithic":

@@ -13,7 +13,6 @@ from ddic.errors import InputError
 if TYPE_CHECKING:
     from ddic.case.schema import Case
     from ddic.check.report import CheckReport
-    from ddic.mesh.mesh import Mesh
 
 
 ENDINGS = (".png", ".pdf", ".svg")
@@ -59,6 +58,7 @@ def _check_drawing(drawing: Path) -> None:
 
 def _draw(case: Case, drawing: Path) -> None:
     """Draw the mesh of a case that was found fit."""
+    from ddic.case.methods import find_method
     from ddic.io.image_file import open_image
     from ddic.plots.canvas import save_figure
     from ddic.plots.maps import read_preview
@@ -66,23 +66,9 @@ def _draw(case: Case, drawing: Path) -> None:
     from ddic.problem.cut_region import list_discontinuities
 
     reference = open_image(case.images.reference)
-    mesh = _build_mesh(case, reference.width, reference.height)
+    mesh = find_method(case).build_result_mesh(case, reference.width, reference.height)
     figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
     save_figure(figure, drawing)
-
-
-def _build_mesh(case: Case, width: int, height: int) -> Mesh:
-    """The mesh of a case; that of the result with [pgd], whose elements may be single pixels."""
-    from ddic.inputs.mesh_source import build_meshes
-    from ddic.inputs.rectangle import build_rectangle, choose_output_lines
-    from ddic.mesh.cell_type import Q4
-    from ddic.mesh.mesh import build_mesh
-    from ddic.mesh.structured import GridLines
-
-    if case.pgd is None:
-        return build_meshes(case, width, height)[0]
-    grid = GridLines(*choose_output_lines(case, build_rectangle(case)))
-    return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
 
 
 def _lines(report: CheckReport) -> list[tuple[str, str]]:

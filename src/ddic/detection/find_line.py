@@ -15,6 +15,7 @@ from ddic.detection.refine_line import (
     REACH,
     TOLERANCES,
     RefinedLine,
+    UncertainLine,
     compute_residuals,
     find_strip,
     refine_line,
@@ -50,7 +51,7 @@ TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class StrainBand:
     """A straight band.
 
     Attributes
@@ -74,7 +75,7 @@ def compute_tresca_strain(strain: Array) -> Array:
     return np.asarray(np.hypot((exx - eyy) / 2, exy))
 
 
-def find_band(points: Array, strain: Array, size: float) -> Band:
+def find_band(points: Array, strain: Array, size: float) -> StrainBand:
     """Find the straight band in which an equivalent strain exceeds that of its surroundings most.
 
     ``points`` are cells' centres, (n, 2), pixels, ``strain`` their equivalent strain, (n,), ``size`` theirs, pixels.
@@ -84,7 +85,7 @@ def find_band(points: Array, strain: Array, size: float) -> Band:
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     length = float(np.linalg.norm(np.ptp(points, axis=0))) + size
     n_bands = int(np.ceil(length / size)) + 1
-    best = Band(np.stack([middle, middle]), 0.0)
+    best = StrainBand(np.stack([middle, middle]), 0.0)
     for angle in np.arange(0.0, np.pi, size / length / 2):
         along = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-along[1], along[0]])
@@ -98,7 +99,7 @@ def find_band(points: Array, strain: Array, size: float) -> Band:
             k = int(scores.argmax())
             if scores[k] > best.score:
                 foot = middle + ((k - shift) * size - length / 2) * normal
-                best = Band(np.stack([foot - length * along, foot + length * along]), float(scores[k]))
+                best = StrainBand(np.stack([foot - length * along, foot + length * along]), float(scores[k]))
     return best
 
 
@@ -149,48 +150,33 @@ OUTLIERS = 5.0
 """Standard deviations by which chance may exceed its mean."""
 
 
-@dataclass(frozen=True, eq=False)
-class Detection:
-    """What a search for a discontinuity found.
-
-    Attributes
-    ----------
-    line : (2, 2) array or None
-        Across the region, pixels; None where nothing stands out.
-    note : str
-        What the user should know.
-    """
-
-    line: Array | None
-    note: str
-
-
-def find_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening) -> Detection:
-    """Find the straight line across which a displacement jumps, or say why there is none.
+def find_line(images: Images, mesh: Mesh, displacement: Array, opening: Opening) -> tuple[Array | None, str]:
+    """Find the straight line across which a displacement jumps, across the region, (2, 2), pixels; or None and why.
 
     ``displacement`` is that of a continuous field, (n_nodes, 2), pixels; ``opening`` says in which directions it may
-    jump.
+    jump. The text says what the user should know.
     """
     strain = compute_strain(mesh, displacement.ravel()).infinitesimal
-    band = find_band(mesh.centroids, compute_tresca_strain(strain), measure_cell_size(mesh))
+    size = measure_cell_size(mesh)
+    band = find_band(mesh.centroids, compute_tresca_strain(strain), size)
     if band.score < LEAST_SCORE:
-        return Detection(None, f"detection: no line; no band of strain stands out (score {band.score:.1f}, "
-                               f"{LEAST_SCORE:g} asked for)")
+        return None, (f"detection: no line; no band of strain stands out (score {band.score:.1f}, {LEAST_SCORE:g} "
+                      "asked for)")
+    given = UncertainLine(Discontinuities((band.line,), (opening,)), 0, UNCERTAIN * size)
     try:
-        refined = refine_line(images, mesh, CutField(mesh, displacement), Discontinuities((band.line,), (opening,)), 0,
-                              UNCERTAIN * measure_cell_size(mesh), SETTLED)
+        refined = refine_line(images, mesh, CutField(mesh, displacement), given, SETTLED)
         before, after = _compare_residuals(images, mesh, displacement, refined)
     except (ConvergenceError, SingularSubdomainError, FactorizationError) as error:
-        return Detection(None, f"detection: no line; where strain stands out (score {band.score:.1f}) no line could be "
-                               f"measured: {error}")
+        return None, (f"detection: no line; where strain stands out (score {band.score:.1f}) no line could be "
+                      f"measured: {error}")
     told = f"residual in the elements that it cuts {before.rms:.3g} grey levels without it, {after.rms:.3g} with it"
     if not _speaks_for_line(before, after):
-        return Detection(None, f"detection: no line; where strain stands out (score {band.score:.1f}) a line explains "
-                               f"no more than chance: {told}")
+        return None, (f"detection: no line; where strain stands out (score {band.score:.1f}) a line explains no more "
+                      f"than chance: {told}")
     line = _clip_to_region(mesh, refined.line)
     (x0, y0), (x1, y1) = line
-    return Detection(line, f"detection: line from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f}) px (score "
-                           f"{band.score:.1f}, moved {refined.n_moves} times); {told}")
+    return line, (f"detection: line from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f}) px (score {band.score:.1f}, "
+                  f"moved {refined.n_moves} times); {told}")
 
 
 @dataclass(frozen=True)

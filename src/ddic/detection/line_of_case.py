@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.case.schema import Case, DiscontinuitySection
-from ddic.detection.find_line import Detection, find_line
-from ddic.detection.refine_line import SEARCHED, find_move, refine_line
-from ddic.detection.refine_tip import find_tip_move
+from ddic.detection.find_line import find_line
+from ddic.detection.refine_line import SEARCHED, UncertainLine, find_move, refine_line
+from ddic.detection.refine_tip import UncertainTip, find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.fracture.crack_tip import find_kolosov_constant
 from ddic.functionals.regularization import Material
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.kinematics.enriched import Discontinuities
-from ddic.kinematics.tip_functions import Tip, find_tips
+from ddic.kinematics.tip_functions import find_tips
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import measure_distance
@@ -61,8 +61,8 @@ class Refinement:
     is_any: bool
 
 
-def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> Detection:
-    """Find the line that a case asks for, or say why there is none; on one rank.
+def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> tuple[Array | None, str]:
+    """Find the line that a case asks for, as ``find_line`` does; on one rank.
 
     The first camera sees the whole region. ``displacement`` is that of a continuous field, (n_nodes, 2), pixels; nan
     where it was not measured, there it follows by equilibrium.
@@ -86,58 +86,57 @@ def refine_lines_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> R
     sections, among = list(inputs.case.discontinuity), given
     notes: list[str] = []
     for number, section in enumerate(sections):
-        of_line = number, section.uncertainty
-        if section.uncertainty > 0 and _is_off(images, cut, field, given, of_line):
-            among, note = _refine(images, mesh, field, among, of_line)
+        line = UncertainLine(given, number, section.uncertainty)
+        if section.uncertainty > 0 and _is_off(images, cut, field, line):
+            among, note = _refine(images, mesh, field, replace(line, among=among))
             notes.append(f"discontinuity, entry {number + 1}: {note}")
     tips = find_tips(mesh, among.lines, list_tip_functions(inputs.case))
     for tip in () if tips is None else tips.tips:
-        if (uncertainty := sections[tip.line].uncertainty) > 0:
-            among, found_tip = _refine_tip(inputs.case, images, mesh, field, among, (tip, uncertainty))
-            notes += [f"discontinuity, entry {tip.line + 1}: {note}" for note in found_tip]
+        deviation = sections[tip.line].uncertainty
+        if deviation > 0:
+            line = UncertainLine(among, tip.line, deviation)
+            among, of_tip = _refine_tip(inputs.case, images, mesh, field, UncertainTip(tip, line))
+            notes += [f"discontinuity, entry {tip.line + 1}: {note}" for note in of_tip]
     sections = [section if among.lines[number] is given.lines[number]
                 else section.model_copy(update={"vertices": tuple(map(tuple, among.lines[number].tolist()))})
                 for number, section in enumerate(sections)]
     return Refinement(tuple(sections), tuple(notes), sections != list(inputs.case.discontinuity))
 
 
-def _refine(images: Images, mesh: Mesh, field: CutField, among: Discontinuities,
-            of_line: tuple[int, float]) -> tuple[Discontinuities, str]:
-    """A line, of some number and uncertainty, where it fits the images best, and what is to be told of it."""
-    number, uncertainty = of_line
-    line = among.lines[number]
+def _refine(images: Images, mesh: Mesh, field: CutField, line: UncertainLine) -> tuple[Discontinuities, str]:
+    """All lines, this one where it fits the images best, and what is to be told of it."""
     try:
-        found = refine_line(images, mesh, field, among, number, uncertainty, SETTLED).best
+        found = refine_line(images, mesh, field, line, SETTLED).best
     except (ConvergenceError, SingularSubdomainError, FactorizationError) as error:
-        return among, ("the residual says that its line is off, but where it belongs is not found: "
-                       f"{error}; correct discontinuity.vertices")
-    moved = _measure_move(mesh, line, found)
-    if moved > SEARCHED * uncertainty:
-        return among, _describe_limit("line", f"{moved:.1f}", uncertainty)
-    return among.with_line(number, found), (
+        return line.among, ("the residual says that its line is off, but where it belongs is not found: "
+                            f"{error}; correct discontinuity.vertices")
+    moved = _measure_move(mesh, line.vertices, found)
+    if moved > line.reach:
+        return line.among, _describe_limit("line", f"{moved:.1f}", line.deviation)
+    return line.move_to(found).among, (
         f"its line was off, and was refined by the residual: moved by up to {moved:.2f} px, turned by "
-        f"{_describe_turns(line, found)} degrees; now {_describe_vertices(found)} px")
+        f"{_describe_turns(line.vertices, found)} degrees; now {_describe_vertices(found)} px")
 
 
-def _refine_tip(case: Case, images: Images, mesh: Mesh, field: CutField, among: Discontinuities,
-                of_tip: tuple[Tip, float]) -> tuple[Discontinuities, list[str]]:
-    """A tip, of some uncertainty, where Williams' series fits the images best, and what is to be told if it was off."""
-    tip, uncertainty = of_tip
+def _refine_tip(case: Case, images: Images, mesh: Mesh, field: CutField,
+                given: UncertainTip) -> tuple[Discontinuities, list[str]]:
+    """All lines, a tip where Williams' series fits the images best, and what is to be told if it was off."""
+    tip, line = given.tip, given.line
     elastic = case.regularization or Material()
     kappa = find_kolosov_constant(elastic.poisson_ratio, elastic.plane)
     try:
-        move = find_tip_move(images, mesh, field, tip, among.lines, uncertainty, kappa)
+        move = find_tip_move(images, mesh, field, given, kappa)
     except ConvergenceError:
         # No room, or no crack as the series has it: nothing is known of the tip's place.
-        return among, []
+        return line.among, []
     if abs(move.ahead) <= max(TIP_OFF, CERTAIN * move.deviation):
-        return among, []
-    if abs(move.ahead) > SEARCHED * uncertainty:
-        return among, [_describe_limit("tip", f"{move.ahead:+.1f}", uncertainty)]
-    line = among.lines[tip.line].copy()
-    line[tip.vertex] = tip.position + move.ahead * tip.ahead
-    x, y = line[tip.vertex]
-    return among.with_line(tip.line, line), [
+        return line.among, []
+    if abs(move.ahead) > line.reach:
+        return line.among, [_describe_limit("tip", f"{move.ahead:+.1f}", line.deviation)]
+    vertices = line.vertices.copy()
+    vertices[tip.vertex] = tip.position + move.ahead * tip.ahead
+    x, y = vertices[tip.vertex]
+    return line.move_to(vertices).among, [
         f"its tip was off, and was refined by the residual: moved by {move.ahead:+.2f} px along the line, ahead where "
         f"positive; now ({x:.2f}, {y:.2f}) px"]
 
@@ -147,11 +146,10 @@ def _describe_limit(what: str, moved: str, uncertainty: float) -> str:
             f"= {uncertainty:g} px: it stays; look at its place, or raise that")
 
 
-def _is_off(images: Images, cut: CutMesh, field: CutField, given: Discontinuities,
-            of_line: tuple[int, float]) -> bool:
-    """Whether a line, of some number and uncertainty, is off by the field that was measured."""
+def _is_off(images: Images, cut: CutMesh, field: CutField, line: UncertainLine) -> bool:
+    """Whether a line is off by the field that was measured."""
     try:
-        move = find_move(images, cut, field.displacement, given, *of_line)
+        move = find_move(images, cut, field.displacement, line)
     except (ConvergenceError, ValueError):
         # No pixel about it counts, or it crosses no element by itself.
         return False

@@ -7,7 +7,7 @@ belongs to.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,6 +157,45 @@ TOLERANCES = Tolerances(relative=1e-12, rms=0.003, max_iterations=50, largest=np
 
 
 @dataclass(frozen=True, eq=False)
+class UncertainLine:
+    """A line among others that stay, whose own place is uncertain.
+
+    Attributes
+    ----------
+    among : Discontinuities
+        All lines.
+    number : int
+        Its own.
+    deviation : float
+        Standard deviation of its place, pixels: how far it moves where pixels say nothing, and a third of how far it
+        may at a time.
+    """
+
+    among: Discontinuities
+    number: int
+    deviation: float
+
+    @property
+    def vertices(self) -> Array:
+        """Where it is, (n_vertices, 2), pixels."""
+        return self.among.lines[self.number]
+
+    @property
+    def others(self) -> tuple[Array, ...]:
+        """The other lines."""
+        return (*self.among.lines[:self.number], *self.among.lines[self.number + 1:])
+
+    @property
+    def reach(self) -> float:
+        """How far its vertices may move at a time, pixels."""
+        return SEARCHED * self.deviation
+
+    def move_to(self, vertices: Array) -> UncertainLine:
+        """Put it elsewhere."""
+        return replace(self, among=self.among.with_line(self.number, vertices))
+
+
+@dataclass(frozen=True, eq=False)
 class RefinedLine:
     """A line with the displacement on both sides.
 
@@ -200,29 +239,25 @@ class Move:
     gain: float
 
 
-def refine_line(images: Images, mesh: Mesh, start: CutField, among: Discontinuities, number: int,
-                uncertainty: float, settled: float) -> RefinedLine:
+def refine_line(images: Images, mesh: Mesh, start: CutField, line: UncertainLine, settled: float) -> RefinedLine:
     """Move a line until its sides' pixels fit best, each side's displacement being measured with the line where it is.
 
-    The sides start from ``start``, continuous or not; the region's mesh is not cut. ``among`` says where the line may
-    be, by its number, and where the others are, which stay; pixels. ``uncertainty`` is the standard deviation of its
-    place, pixels: how far it moves where pixels say nothing, and a third of how far it may at a time. A line that moves
-    by no more than ``settled``, pixels, has been found. Raises ConvergenceError where the line or the displacement does
-    not converge, SingularSubdomainError where the pixels do not determine the displacement.
+    The sides start from ``start``, continuous or not; the region's mesh is not cut. A line that moves by no more than
+    ``settled``, pixels, has been found. Raises ConvergenceError where the line or the displacement does not converge,
+    SingularSubdomainError where the pixels do not determine the displacement.
     """
     size = measure_cell_size(mesh)
     for n_moves in range(MOST_MOVES):
-        line = among.lines[number]
-        strip, _ = mesh.create_submesh(find_strip(mesh, line, REACH * size))
-        cells = cut_level(strip, among, images.active, images.degree)
+        strip, _ = mesh.create_submesh(find_strip(mesh, line.vertices, REACH * size))
+        cells = cut_level(strip, line.among, images.active, images.degree)
         if cells.mesh.parts is None:
             raise ConvergenceError("the line left the mesh")
         u = correlate_alone(images, cells, CUT_OFF * size, TOLERANCES,
                             [start.interpolate_at_nodes(cells.mesh).ravel()], "the strip along a line")
-        move = find_move(images, cells.cut, u.reshape(cells.mesh.nodes.shape), among, number, uncertainty)
+        move = find_move(images, cells.cut, u.reshape(cells.mesh.nodes.shape), line)
         if move.distance <= settled:
-            return RefinedLine(line, cells, u, n_moves, move.line)
-        among = among.with_line(number, move.line)
+            return RefinedLine(line.vertices, cells, u, n_moves, move.line)
+        line = line.move_to(move.line)
     raise ConvergenceError(f"the line was still moving after {MOST_MOVES} rounds")
 
 
@@ -231,8 +266,7 @@ def find_strip(mesh: Mesh, line: Array, reach: float) -> NDArray[np.int64]:
     return np.flatnonzero(measure_distance(mesh.centroids, line) <= reach).astype(np.int64)
 
 
-def find_move(images: Images, cut: CutMesh, displacement: Array, among: Discontinuities, number: int,
-              uncertainty: float) -> Move:
+def find_move(images: Images, cut: CutMesh, displacement: Array, given: UncertainLine) -> Move:
     """Find the line by which the pixels about it are told best to which side they belong.
 
     What a pixel costs on the left beyond what it costs on the right, left^2 - right^2 of the residuals with either
@@ -240,10 +274,9 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, among: Disconti
     value, not differentiated.
 
     ``displacement`` is that of the nodes of cells that the line cuts, among others, (n_nodes, 2), pixels; nan where it
-    is not known. ``among`` says where the line is, by its number, and the others. ``uncertainty`` is the standard
-    deviation of its place, pixels. Raises ConvergenceError where no pixel about the line counts.
+    is not known. Raises ConvergenceError where no pixel about the line counts.
     """
-    line, reach = among.lines[number], SEARCHED * uncertainty
+    line, reach = given.vertices, given.reach
     size = measure_cell_size(cut.mesh)
     about, _ = cut.mesh.create_submesh(find_strip(cut.mesh, line, reach + 2 * size))
     pixels, _ = list_pixels(rasterize(about), np.arange(about.n_cells))
@@ -256,8 +289,7 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, among: Disconti
     from_start = points - line[segments]
     shares = (from_start * along[segments]).sum(axis=1) / lengths[segments] ** 2
     heights = multiply_across(along[segments], from_start) / lengths[segments]
-    on_left, on_right = evaluate_both_sides(cut, displacement, line, points,
-                                            (*among.lines[:number], *among.lines[number + 1:]))
+    on_left, on_right = evaluate_both_sides(cut, displacement, line, points, given.others)
     left = compute_residuals(images, pixels, on_left, heights > 0)
     right = compute_residuals(images, pixels, on_right, heights <= 0)
     counted = np.isfinite(left) & np.isfinite(right)
@@ -274,7 +306,7 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, among: Disconti
         mine = counted & (segments == k)
         tables.append(_Segment.tabulate(cost[mine], difference[mine], shares[mine], heights[mine],
                                         (reach, k == 0, k == len(along) - 1)))
-    found = _search_on_grids(tables, reach, variance / uncertainty**2)
+    found = _search_on_grids(tables, reach, variance / given.deviation**2)
     gain = _sum_costs(tables, np.zeros(len(found))) - _sum_costs(tables, found)
     return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found),
                 gain / variance)

@@ -7,13 +7,12 @@ more of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.detection.refine_line import compute_residuals
+from ddic.detection.refine_line import UncertainLine, compute_residuals
 from ddic.errors import ConvergenceError
 from ddic.fracture.crack_tip import evaluate_williams_series
 from ddic.functionals.line_band import BAND
@@ -58,6 +57,22 @@ SAME_TIP, MOST_MOVES = 0.05, 20
 """Pixels: a tip that moves by no more has been found; times that it is moved, two to five are usual."""
 
 
+@dataclass(frozen=True, eq=False)
+class UncertainTip:
+    """A tip whose place is uncertain.
+
+    Attributes
+    ----------
+    tip : Tip
+        As it is given.
+    line : UncertainLine
+        Whose tip it is; its deviation is the tip's too: how far it moves where pixels say nothing.
+    """
+
+    tip: Tip
+    line: UncertainLine
+
+
 @dataclass(frozen=True)
 class TipMove:
     """Where the pixels about a tip say that it lies.
@@ -74,37 +89,36 @@ class TipMove:
     deviation: float
 
 
-def find_tip_move(images: Images, mesh: Mesh, start: CutField, tip: Tip, lines: Sequence[Array],
-                  uncertainty: float, kappa: float) -> TipMove:
+def find_tip_move(images: Images, mesh: Mesh, start: CutField, given: UncertainTip, kappa: float) -> TipMove:
     """Find how far a tip is off along its line.
 
-    The series starts from ``start``, pixels; the region's mesh is not cut; ``lines`` are all lines, (n_vertices, 2),
-    pixels. ``uncertainty`` is the standard deviation of the tip's place, pixels: it stays where pixels say nothing.
-    ``kappa`` is Kolosov's constant. Raises ConvergenceError where there is no room for the series, or no tip is found.
+    The series starts from ``start``, pixels; the region's mesh is not cut; ``kappa`` is Kolosov's constant. Raises
+    ConvergenceError where there is no room for the series, or no tip is found.
     """
-    radius = _choose_radius(mesh, tip, lines)
-    disk = _Disk.list_pixels(images, tip, radius, kappa)
+    deviation = given.line.deviation
+    radius = _choose_radius(mesh, given)
+    disk = _Disk.list_pixels(images, given.tip, radius, kappa)
     coefficients, ahead = disk.fit(start, min(measure_cell_size(mesh), radius / 2)), 0.0
     for _ in range(MOST_MOVES):
-        step, variance = disk.correct(coefficients, ahead, uncertainty)
+        step = disk.correct(coefficients, ahead, deviation)
         coefficients = coefficients + step.of_terms
-        ahead += float(np.clip(step.ahead, -uncertainty, uncertainty))
+        ahead += float(np.clip(step.ahead, -deviation, deviation))
         if abs(ahead) > radius / 2:
             break
         if abs(step.ahead) <= SAME_TIP:
             if not disk.is_as_good(coefficients, ahead, start, measure_cell_size(mesh)):
                 break
-            return TipMove(ahead, float(np.sqrt(variance * step.inverse)))
+            return TipMove(ahead, float(np.sqrt(step.variance)))
     raise ConvergenceError("about the tip, Williams' series does not fit the images")
 
 
-def _choose_radius(mesh: Mesh, tip: Tip, lines: Sequence[Array]) -> float:
+def _choose_radius(mesh: Mesh, given: UncertainTip) -> float:
     """Radius of the disk about a tip in which its series holds, pixels."""
+    tip, line = given.tip, given.line.vertices
     edge = mesh.nodes[find_boundary_nodes(mesh)]
     last, before = (0, 1) if tip.vertex == 0 else (-1, -2)
-    line, others = lines[tip.line], (*lines[:tip.line], *lines[tip.line + 1:])
     room = [np.linalg.norm(edge - tip.position, axis=1).min(), np.linalg.norm(line[last] - line[before]),
-            *(measure_distance(tip.position[None], other)[0] for other in others)]
+            *(measure_distance(tip.position[None], other)[0] for other in given.line.others)]
     radius = min(ROOM * float(min(room)), LARGEST_ELEMENTS * measure_cell_size(mesh), LARGEST_PX)
     if radius < LEAST_PX:
         raise ConvergenceError("there is no room for Williams' series about the tip")
@@ -113,11 +127,11 @@ def _choose_radius(mesh: Mesh, tip: Tip, lines: Sequence[Array]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """Correction of the terms' coefficients and of the tip's place, and the latter's entry of the normal inverse."""
+    """Correction of the terms' coefficients and of the tip's place, and the variance of that by noise."""
 
     of_terms: Array
     ahead: float
-    inverse: float
+    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +204,8 @@ class _Disk:
         series, measured = (np.minimum(residual[counted] ** 2, most).sum() for residual in (of_series, of_field))
         return bool(series <= measured)
 
-    def correct(self, coefficients: Array, ahead: float, uncertainty: float) -> tuple[_Step, float]:
-        """One step of Gauss-Newton from coefficients and a place of the tip, and the variance of the residual."""
+    def correct(self, coefficients: Array, ahead: float, uncertainty: float) -> _Step:
+        """One step of Gauss-Newton from coefficients and a place of the tip, itself known to a standard deviation."""
         terms, of_move = self.evaluate_terms(coefficients, ahead)
         residual = compute_residuals(self.images, self.pixels, terms @ coefficients @ self.axes)
         counted = np.isfinite(residual) & (np.hypot(self.local[:, 0] - ahead, self.local[:, 1]) > INNER)
@@ -209,4 +223,4 @@ class _Disk:
         except np.linalg.LinAlgError as error:
             raise ConvergenceError("pixels about the tip do not determine Williams' series") from error
         step = inverse @ right
-        return _Step(step[:-1], float(step[-1]), float(inverse[-1, -1])), variance
+        return _Step(step[:-1], float(step[-1]), variance * float(inverse[-1, -1]))

@@ -21,7 +21,6 @@ from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
 from ddic.inputs.mesh_source import build_meshes
-from ddic.inputs.rectangle import Rectangle, build_rectangle
 from ddic.io.input_file import FileStamps
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
@@ -52,8 +51,8 @@ class Inputs:
         The case file and its content; empty where there is none.
     notes : tuple of str
         What the user should know of how the case was completed.
-    rectangle : Rectangle, optional
-        What is measured where the case has [pgd]; ``build_mesh`` is not called then.
+    given_mesh : Mesh, optional
+        The mesh where it was given in memory, as it was given; None where the case says it.
     n_frames : int
         Frames that are expected, where the case does not say it.
     choice : SolverChoice, optional
@@ -69,7 +68,7 @@ class Inputs:
     case_path: Path = Path()
     case_text: str = ""
     notes: tuple[str, ...] = ()
-    rectangle: Rectangle | None = None
+    given_mesh: Mesh | None = None
     n_frames: int = 1
     choice: SolverChoice | None = None
     updated: UpdatedReference | None = None
@@ -99,7 +98,6 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.width, image.height),
                     case_path=loaded.path, case_text=loaded.text,
-                    rectangle=None if case.pgd is None else build_rectangle(case),
                     n_frames=len(list_deformed(case.images)))
     return inputs, open_frame(case, opener, number)
 

@@ -64,7 +64,9 @@ class CellInterpolation:
         for nodes that a cell does not have.
         """
         of_corners = np.einsum("eam,eim->eai", self.shapes[self.kinds[cells]], moments)
-        return np.asarray(of_corners.reshape(len(moments), -1))
+        n, n_corners, dim = of_corners.shape
+        # Said in full: n may be 0, where a frame shows none of a subdomain's cells.
+        return np.asarray(of_corners.reshape(n, n_corners * dim))
 
     def assemble_matrix(self, cells: NDArray[np.float64],
                         numbers: NDArray[np.int64] | None = None) -> sparse.csr_matrix:

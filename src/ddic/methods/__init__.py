@@ -1,1 +1,1 @@
-"""Measurement methods, one recipe each."""
+"""What measures: methods, lines that images correct, series, sweeps."""

@@ -5,11 +5,10 @@ Gauss-Newton on one frame, with operators and grey levels that fit what the fram
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Self
 
-from ddic.errors import ConvergenceError, as_collective
+from ddic.errors import ConvergenceError, as_collective, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.parallel.field import Field
@@ -19,12 +18,14 @@ from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.listener import Listener
+from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import Measurement, finish_measurement, last_field_kept
 from ddic.solvers.gauss_newton import Progress
+from ddic.solvers.probing import estimate_response
 from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, KnownStart, find_start
 from ddic.visibility.exclusions import exclude, pull_held_cells
+from ddic.visibility.noise_forces import measure_force_noise
 from ddic.visibility.see_frame import SeenFrame, see_start
 from ddic.visibility.solved_frame import (
     SETTLED,
@@ -60,14 +61,14 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, listen
     # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
     model, notes = problem.fit(model if is_regularized else _use(model, seen, q), q)
     model, notes = _use(model, seen, q) if is_regularized else model, (*of_blur, *notes)
-    _tell(listener, notes)
+    note_all(listener, notes)
     listener.problem_size(problem.size)
     solved = begin_frame(seen, model, q, notes)
     looks = Looks(is_regularized=is_regularized)
     while looks.number < MOST_LOOKS:
         n_notes = len(solved.notes)
         solved = solve_further(problem, solved, Progress(clock, listener.iteration), roughly=looks.is_rough)
-        _tell(listener, solved.notes[n_notes:])
+        note_all(listener, solved.notes[n_notes:])
         found = solved.solution
         is_paused = found.paused is not None
         with clock.phase(Phase.RESIDUAL):
@@ -81,7 +82,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, listen
         # Where the start was far off, other pixels are hidden here.
         followed = model if model.follows else model.with_large_gradients(found.q)
         model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
-        _tell(listener, renewed)
+        note_all(listener, renewed)
         solved = SolvedFrame(solved.field, replace(found, q=solved.field.q), seen, model,
                              (*solved.notes, *renewed))
         # Later, operators that take turns change how fast a field is found, not which.
@@ -102,13 +103,8 @@ def _use(model: ResidualModel, seen: SeenFrame, q: Field) -> ResidualModel:
     return replace(used, known=None if is_changed else (q, seen.evaluation))
 
 
-def _tell(listener: Listener, notes: Sequence[str]) -> None:
-    for line in notes:
-        listener.note(line)
-
-
-class Session:
-    """A prepared measurement, for any number of frames; use it in a ``with`` statement, which frees PETSc's objects.
+class DecomposedSession:
+    """A measurement prepared on subdomains, for any number of frames; use it in a ``with`` statement.
 
     M, the partition, the factors and the coarse space come from the reference images. Where a frame hides more than a
     share of a subdomain's pixels, that subdomain's M and factor are renewed, and the log says so. Raises InputError,
@@ -129,12 +125,15 @@ class Session:
 
     Attributes
     ----------
+    inputs : Inputs
+        From which it was prepared.
     problem : WeightedProblem
         The systems, weighted and factorised, and how often.
     """
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                  first_frame: Frame | None = None) -> None:
+        self.inputs = inputs
         self._listener, self._clock = listener, clock
         self._first_frame = first_frame
         with clock.phase(Phase.MESH):
@@ -145,9 +144,19 @@ class Session:
             begin_search = search.prepare(first_frame)
         reference, found = prepare_reference(team, inputs, region_mesh, clock, begin_search)
         self._found_first = search.share(found)
-        _tell(self._listener, reference.notes)
+        note_all(listener, reference.notes)
         self.problem = WeightedProblem(team, reference, clock, factorize_now=first_frame is None)
         self._start = FrameStart(search, self.problem, clock)
+
+    @property
+    def n_assembled(self) -> int:
+        """Times that this rank assembled M of a subdomain."""
+        return self.problem.n_assembled
+
+    @property
+    def n_factorized(self) -> int:
+        """Operators that this rank factorised."""
+        return self.problem.solver.n_factorized
 
     def __enter__(self) -> Self:
         return self
@@ -173,14 +182,37 @@ class Session:
         views = problem.open_frame(frame)
         q, of_start = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
-        _tell(self._listener, of_start)
+        note_all(self._listener, of_start)
         notes = (*problem.reference.notes, *of_start)
         with last_field_kept(self._clock, lambda *last: finish_measurement(problem, frame, notes, *last)):
             solved = solve_frame(problem, model, q, self._listener, self._clock, least_shown)
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
-        _tell(self._listener, measurement.notes[len(notes) + len(solved.notes):])
+        note_all(self._listener, measurement.notes[len(notes) + len(solved.notes):])
         return measurement
+
+    def estimate_noise_floor(self, measured: Measurement) -> float:
+        """Estimate what noise of the residual's size leaves in what was measured last, pixels; collective.
+
+        The residual is taken to be noise, as strong as it acts on displacements; it also holds what the field cannot
+        follow. With several cameras the noise is the one that weighs them. It is the RMS of a component at a node; nan
+        where a linear step fails.
+        """
+        problem, solver = self.problem, self.problem.solver
+        counted = [~is_unmeasured for is_unmeasured in measured.unmeasured]
+        with self._clock.phase(Phase.FINISH):
+            try:
+                response = estimate_response(problem.team, solver.assembly.systems, solver.step, counted)
+                if problem.noise:
+                    return problem.noise[0] * response.rms_per_grey
+                noise = measure_force_noise(measured.model, measured.evaluation, measured.q, response.n_determined,
+                                            is_regularized=solver.assembly.eta > 0)
+                return noise.sigma * response.rms_per_grey
+            except ConvergenceError as error:
+                # What was measured stands without it; what this rank alone raises must end the job.
+                if not is_collective(error):
+                    raise
+                return float("nan")
 
     def close(self) -> None:
         """Free PETSc's objects."""

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Self
 
 from ddic.case.schema import Case, DiscontinuitySection, GaussNewtonSection, RegularizationSection
 from ddic.errors import ConvergenceError, SingularSubdomainError, StoppedError, as_collective, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.mesh.quality import measure_cell_size
-from ddic.methods.dd_dic import Session
-from ddic.methods.recipe import Recipe
+from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import Phase, PhaseClock
+from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team, require_held
 from ddic.problem.cut_region import refuse_kinematics
-from ddic.results.listener import Listener, WithoutNotes
+from ddic.results.listener import Listener, WithoutNotes, note_all
 from ddic.results.measurement import Measurement, gather_displacement
+from ddic.start.frame_start import KnownStart
 
 if TYPE_CHECKING:
     from ddic.detection.line_of_case import Refinement
-    from ddic.results.separated import SeparatedMeasurement
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
 """Correction at which the continuous measurement is exact enough to look for a line in it: its elements on the line
@@ -35,6 +35,11 @@ them: what is on the wrong side of one drags its nodes along without mechanics."
 def is_line_wanted(case: Case) -> bool:
     """Tell whether a case asks for a line to be found: whether one of its discontinuities has no vertices."""
     return any(section.vertices is None for section in case.discontinuity)
+
+
+def can_correct_lines(case: Case) -> bool:
+    """Tell whether images correct lines of a case: one is to be found, or may be off."""
+    return is_line_wanted(case) or _may_be_off(case)
 
 
 def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Listener, clock: PhaseClock) -> Inputs:
@@ -51,7 +56,7 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
     team.together(lambda: refuse_kinematics(inputs))
     listener.note("detection: continuous elements first")
     continuous = replace(inputs, case=_measure_continuously(case))
-    with Session(team, continuous, WithoutNotes(listener), clock, frame) as session:
+    with DecomposedSession(team, continuous, WithoutNotes(listener), clock, frame) as session:
         try:
             measurement = session.measure(frame)
         except StoppedError:
@@ -62,12 +67,12 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
                                                  error.last)) from error
     with clock.phase(Phase.START):
         displacement = gather_displacement(measurement)
-        found = team.on_root(lambda: find_line_of_case(inputs, frame, require_held(displacement)))
+        line, note = team.on_root(lambda: find_line_of_case(inputs, frame, require_held(displacement)))
     sections: Sequence[DiscontinuitySection] = ()
-    if found.line is not None:
-        sections = [case.discontinuity[0].model_copy(update={"vertices": tuple(map(tuple, found.line.tolist()))})]
+    if line is not None:
+        sections = [case.discontinuity[0].model_copy(update={"vertices": tuple(map(tuple, line.tolist()))})]
     return replace(inputs, case=case.model_copy(update={"discontinuity": tuple(sections)}),
-                   notes=(*inputs.notes, found.note))
+                   notes=(*inputs.notes, note))
 
 
 def _measure_continuously(case: Case) -> Case:
@@ -81,25 +86,91 @@ def _loosen(section: GaussNewtonSection) -> GaussNewtonSection:
                                       "largest_tolerance": max(section.largest_tolerance, LARGEST_PX)})
 
 
-def measure_on_lines(recipe: Recipe, inputs: Inputs, frame: Frame, start: Any, prepare: Callable[[Inputs], Recipe],
-                     listener: Listener, clock: PhaseClock
-                     ) -> tuple[Recipe, Inputs, Measurement | SeparatedMeasurement]:
-    """Measure a frame, and once more where the residual says that lines are off their places; collective.
+class LineSession:
+    """A measurement with lines that the images correct: looked for in a frame, or refined in any.
 
-    The recipe was prepared of ``inputs``, with the lines as they are given; ``start`` is as ``Session.measure`` takes
-    it. Returns the recipe, the inputs that it was prepared from, and what it measured: the same recipe, or one that
-    ``prepare`` makes with refined lines, and the first one is closed then. Raises InputError, SingularSubdomainError or
-    ConvergenceError on all ranks.
+    Where a line is to be found, it is prepared when a frame shows it; until then each frame is measured without. Else
+    as ``DecomposedSession``.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks.
+    inputs : Inputs
+        Reference images, mesh and settings.
+    listener : Listener
+        Told what happens.
+    clock : PhaseClock
+        Of the phases.
+    first_frame : Frame, optional
+        Where it is known already, and no other one will be measured.
     """
-    if not isinstance(recipe, Session):
-        return recipe, inputs, recipe.measure(frame, start)
-    measured = measure_and_look(lambda: recipe.measure(frame, start), recipe.problem.team, inputs, frame, listener,
-                                clock)
-    if isinstance(measured, Measurement):
-        return recipe, inputs, measured
-    recipe.close()
-    again = prepare(measured)
-    return again, measured, again.measure(frame, start)
+
+    def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
+                 first_frame: Frame | None = None) -> None:
+        self._team, self._listener, self._clock = team, listener, clock
+        self._only_frame = first_frame
+        # With the lines as the frames so far have corrected them.
+        self._inputs = inputs
+        self._session: DecomposedSession | None = None
+        if not is_line_wanted(inputs.case):
+            self._session = self._prepare(inputs)
+
+    def _prepare(self, inputs: Inputs) -> DecomposedSession:
+        stop_if_asked(self._team, "before the first iteration")
+        return DecomposedSession(self._team, inputs, self._listener, self._clock, self._only_frame)
+
+    @property
+    def n_assembled(self) -> int:
+        """Times that this rank assembled M of a subdomain, with the lines as they are."""
+        return 0 if self._session is None else self._session.n_assembled
+
+    @property
+    def n_factorized(self) -> int:
+        """Operators that this rank factorised, with the lines as they are."""
+        return 0 if self._session is None else self._session.n_factorized
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def measure(self, frame: Frame, start: KnownStart | None = None) -> Measurement:
+        """Measure a frame, and once more where the residual says that lines are off their places; collective.
+
+        As ``DecomposedSession.measure``. Lines that are corrected stay so for the frames that follow.
+        """
+        session = self._find_session(frame)
+        measured = measure_and_look(lambda: session.measure(frame, start), self._team, session.inputs, frame,
+                                    self._listener, self._clock)
+        if isinstance(measured, Measurement):
+            return measured
+        self.close()
+        self._inputs = measured
+        self._session = self._prepare(measured)
+        return self._session.measure(frame, start)
+
+    def _find_session(self, frame: Frame) -> DecomposedSession:
+        """The session at hand, or one with the line that a frame shows, without one where it shows none; collective."""
+        if self._session is not None and not is_line_wanted(self._inputs.case):
+            return self._session
+        self.close()
+        found = find_discontinuity(self._team, self._inputs, frame, self._listener, self._clock)
+        if found.case.discontinuity:
+            self._inputs = found
+        self._session = self._prepare(found)
+        return self._session
+
+    def estimate_noise_floor(self, measured: Measurement) -> float:
+        """Estimate what noise leaves in what was measured last, as ``DecomposedSession`` does; collective."""
+        return require_held(self._session).estimate_noise_floor(measured)
+
+    def close(self) -> None:
+        """Free PETSc's objects."""
+        if self._session is not None:
+            self._session.close()
+        self._session = None
 
 
 def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inputs, frame: Frame, listener: Listener,
@@ -120,10 +191,10 @@ def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inp
             raise
         roughly = _refine_lines_roughly(team, inputs, frame, listener, clock)
         if roughly is None or not roughly.is_any:
-            _tell(listener, () if roughly is None else roughly.notes)
+            note_all(listener, () if roughly is None else roughly.notes)
             raise
         found = roughly
-    _tell(listener, found.notes)
+    note_all(listener, found.notes)
     if not found.is_any:
         return add_notes(measurement, found.notes)
     return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),
@@ -138,11 +209,6 @@ def add_notes(measurement: Measurement, notes: Sequence[str]) -> Measurement:
 
 def _may_be_off(case: Case) -> bool:
     return any(section.vertices is not None and section.uncertainty > 0 for section in case.discontinuity)
-
-
-def _tell(listener: Listener, notes: Sequence[str]) -> None:
-    for note in notes:
-        listener.note(note)
 
 
 def _refine_lines(inputs: Inputs, measurement: Measurement, frame: Frame, clock: PhaseClock) -> Refinement:
@@ -168,7 +234,7 @@ def _refine_lines_roughly(team: Team, inputs: Inputs, frame: Frame, listener: Li
     rough = case.model_copy(update={"correlation": correlation, "regularization": held,
                                     "gauss_newton": _loosen(case.gauss_newton)})
     try:
-        with Session(team, replace(inputs, case=rough), WithoutNotes(listener), clock, frame) as session:
+        with DecomposedSession(team, replace(inputs, case=rough), WithoutNotes(listener), clock, frame) as session:
             return _refine_lines(inputs, session.measure(frame), frame, clock)
     except (SingularSubdomainError, ConvergenceError) as error:
         if isinstance(error, StoppedError) or not is_collective(error):

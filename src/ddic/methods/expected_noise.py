@@ -14,7 +14,6 @@ from ddic.inputs.mesh_source import build_meshes
 from ddic.io.image_file import open_image
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.local_system import MonolithicStep
@@ -52,13 +51,9 @@ def estimate_nodal_noise(inputs: Inputs, sigma: float, nodes: NDArray[np.bool_] 
         whole, _ = inputs.build_mesh()
         counted = np.zeros(mesh.n_nodes, dtype=bool)
         counted[:whole.n_nodes] = True if nodes is None else nodes
-        return _noise_rms(problem.solver, sigma, np.repeat(counted, mesh.dim))
+        step, system = problem.solver.step, problem.solver.assembly.systems[0]
+        if not isinstance(step, MonolithicStep):
+            raise TypeError("the noise is predicted from the factor of the whole region")
+        return estimate_noise_rms(system, step.operator, sigma, np.repeat(counted, mesh.dim))
     finally:
         problem.destroy()
-
-
-def _noise_rms(solver: LinearSolver, sigma: float, dofs: NDArray[np.bool_]) -> float:
-    step = solver.step
-    if not isinstance(step, MonolithicStep):
-        raise TypeError("the noise is predicted from the factor of the whole region")
-    return estimate_noise_rms(solver.assembly.systems[0], step.operator, sigma, dofs)

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Self
 
+from ddic.case.loader import LoadedCase
+from ddic.case.schema import Case
+from ddic.check.report import CheckReport, describe_rectangle
+from ddic.errors import InputError, Problems
+from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
+from ddic.inputs.rectangle import build_rectangle, check_rectangle, choose_output_lines
+from ddic.inputs.start_points import StartPoints
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.structured import GridLines
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.problem.separated_problem import prepare_separated_problem
-from ddic.results.listener import Listener
+from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import last_field_kept
 from ddic.results.separated import SeparatedMeasurement, finish_separated
+from ddic.separated.band_sums import N_BANDS
 from ddic.separated.corrections import CorrectionRecord, correct_displacement
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
 
@@ -21,19 +31,22 @@ from ddic.start.separated_start import KnownSeparatedStart, find_separated_start
 class SeparatedSession:
     """A prepared PGD-DIC measurement, for any number of frames; use it in a ``with`` statement as other sessions.
 
-    Raises InputError on all ranks.
+    Each rank reads some bands of rows. Raises InputError on all ranks.
 
     Parameters
     ----------
     team : Team
-        All ranks, each of which reads some bands of rows.
+        All ranks.
     inputs : Inputs
-        Reference image, rectangle and settings.
+        Reference images, mesh and settings.
     listener : Listener
         Told what happens.
     clock : PhaseClock
         Of the phases.
     """
+
+    # No operator of a mesh is assembled or factorised.
+    n_assembled = n_factorized = 0
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock) -> None:
         self._listener, self._clock = listener, clock
@@ -44,8 +57,7 @@ class SeparatedSession:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def measure(self, frame: Frame, start: KnownSeparatedStart | None = None) -> SeparatedMeasurement:
@@ -58,8 +70,7 @@ class SeparatedSession:
         problem = self._problem
         with self._clock.phase(Phase.START):
             begin, notes = find_separated_start(problem, self._search, frame, start)
-        for line in notes:
-            self._listener.note(line)
+        note_all(self._listener, notes)
         self._listener.problem_size(problem.size)
         pixels = problem.open_frame(frame)
         with (last_field_kept(self._clock, lambda *found: finish_separated(problem, frame, pixels, notes, *found)),
@@ -70,6 +81,10 @@ class SeparatedSession:
         with self._clock.phase(Phase.FINISH):
             return finish_separated(problem, frame, pixels, notes, solution)
 
+    def estimate_noise_floor(self, measured: SeparatedMeasurement) -> float:
+        """Tell that it is not known, nan: it follows from linear steps on a mesh."""
+        return float("nan")
+
     def _report(self, record: CorrectionRecord) -> None:
         """Tell a correction, and end there where a signal asked for it."""
         self._listener.correction(record)
@@ -77,3 +92,37 @@ class SeparatedSession:
 
     def close(self) -> None:
         """Do nothing: there is no object of PETSc to free."""
+
+
+class SuccessiveProducts:
+    """A displacement that is a sum of products on a rectangle; a ``Method``."""
+
+    def check_ranks(self, loaded: LoadedCase, n_ranks: int) -> None:
+        """Refuse ranks that would have no band of rows."""
+        if n_ranks > N_BANDS:
+            raise InputError(f"[pgd]: the rows of the images are divided into {N_BANDS} bands, and {n_ranks} MPI ranks "
+                             f"were started; start at most {N_BANDS}")
+
+    def check(self, loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
+              problems: Problems) -> CheckReport | None:
+        """Check the rectangle and what refers to it; whether it holds ``points`` is not asked."""
+        if reference is None:
+            return None
+        with problems.gathered(loaded.path):
+            rectangle = build_rectangle(loaded.case)
+            check_rectangle(loaded.case, rectangle, reference.width, reference.height)
+            return describe_rectangle(loaded.case, reference, rectangle)
+        return None
+
+    def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
+        """Build the mesh of the result, since elements may be single pixels."""
+        grid = GridLines(*choose_output_lines(case, build_rectangle(case)))
+        return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
+
+    def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
+                first_frame: Frame | None = None) -> SeparatedSession:
+        """Read the reference image and find the weight of the regularisation."""
+        return SeparatedSession(team, inputs, listener, clock)
+
+
+METHOD = SuccessiveProducts()

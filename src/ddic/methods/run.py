@@ -11,8 +11,7 @@ from ddic.case.loader import LoadedCase
 from ddic.check.case import load_checked_case
 from ddic.errors import DdicError, InputError, as_collective
 from ddic.inputs.inputs import inputs_kept, open_inputs
-from ddic.methods.detect import find_discontinuity, measure_on_lines
-from ddic.methods.recipe import estimate_noise_floor, prepare_recipe
+from ddic.methods.method import prepare_session
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Listener
@@ -35,15 +34,9 @@ def run_pair(team: Team, loaded: LoadedCase, listener: Listener) -> Summary:
         with inputs_kept(team, loaded.stamps):
             with clock.phase(Phase.MESH):
                 inputs, frame = open_inputs(team, loaded)
-            inputs = find_discontinuity(team, inputs, frame, listener, clock)
-            recipe = prepare_recipe(team, inputs, listener, clock, frame)
-            try:
-                recipe, inputs, measurement = measure_on_lines(
-                    recipe, inputs, frame, None, lambda refined: prepare_recipe(team, refined, listener, clock, frame),
-                    listener, clock)
-                noise_floor = estimate_noise_floor(recipe, measurement, clock)
-            finally:
-                recipe.close()
+            with prepare_session(team, inputs, listener, clock, frame) as session:
+                measurement = session.measure(frame)
+                noise_floor = session.estimate_noise_floor(measurement)
     except DdicError as error:
         keep_failed_run(team, error, Destination(output.file, output.flip_y), start, clock)
         raise

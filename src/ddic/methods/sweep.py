@@ -14,15 +14,10 @@ from ddic.errors import DdicError, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.io.result_reader import Result
-from ddic.methods.dd_dic import Session
-from ddic.parallel.phases import PhaseClock
-from ddic.parallel.team import Team, require_held
-from ddic.results.listener import Silence
-from ddic.results.publishing import gather
-from ddic.results.sweep import Candidate, Sweep, choose_trial
-from ddic.results.sweep_candidates import (
-    CandidateField,
-    collect_candidate_field,
+from ddic.methods.dd_dic import DecomposedSession
+from ddic.methods.sweep_errors import (
+    NOWHERE,
+    collect_trial,
     correct_predictions,
     draw_points,
     estimate_pair_noise,
@@ -30,7 +25,12 @@ from ddic.results.sweep_candidates import (
     evaluate_virtual,
     predict_errors,
 )
-from ddic.results.virtual import VirtualFrames, VirtualTruth
+from ddic.methods.virtual_frames import VirtualFrames, VirtualTruth
+from ddic.parallel.phases import PhaseClock
+from ddic.parallel.team import Team, require_held
+from ddic.results.listener import Silence
+from ddic.results.publishing import gather
+from ddic.results.sweep import Candidate, Sweep, Trial, choose_trial
 from ddic.start.given_start import EarlierResult, keep_displacement
 
 
@@ -41,15 +41,17 @@ class CandidateSession:
     ----------
     team : Team
         All ranks.
+    candidate : Candidate
+        What is tried.
     inputs : Inputs
-        With the candidate's case and mesh.
+        With its case and mesh.
     stays_open : bool
         Whether images, M and factors are kept from one measurement to the next.
     """
 
-    def __init__(self, team: Team, inputs: Inputs, *, stays_open: bool) -> None:
-        self._team, self._inputs, self._stays_open = team, inputs, stays_open
-        self._session: Session | None = None
+    def __init__(self, team: Team, candidate: Candidate, inputs: Inputs, *, stays_open: bool) -> None:
+        self.candidate, self._team, self._inputs, self._stays_open = candidate, team, inputs, stays_open
+        self._session: DecomposedSession | None = None
 
     def __enter__(self) -> CandidateSession:
         return self
@@ -57,21 +59,21 @@ class CandidateSession:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def measure_pair(self, frame: Frame, start: EarlierResult | None) -> CandidateField:
+    def measure_pair(self, frame: Frame, start: EarlierResult | None) -> tuple[Trial, Result | None]:
         """Measure the pair of the case; collective.
 
         ``start`` is a displacement to start from; None: it is searched for. Where nothing was measured the reason is in
-        what is returned: one candidate that fails ends no sweep.
+        the trial: one candidate that fails ends no sweep.
         """
         try:
             session = self._open()
-            return collect_candidate_field(session.problem, session.measure(frame, start))
+            return collect_trial(self.candidate, session.problem, session.measure(frame, start))
         except DdicError as error:
             # What this rank alone raises must end the job.
             if not is_collective(error):
                 raise
             self.close()
-            return CandidateField(None, failure=str(error))
+            return Trial(self.candidate, NOWHERE, failure=str(error)), None
         finally:
             self._finish()
 
@@ -93,9 +95,10 @@ class CandidateSession:
             self._session.close()
         self._session = None
 
-    def _open(self) -> Session:
+    def _open(self) -> DecomposedSession:
         if self._session is None:
-            self._session = Session(self._team, self._inputs, Silence(), PhaseClock(waiting=self._team.waiting))
+            self._session = DecomposedSession(self._team, self._inputs, Silence(),
+                                              PhaseClock(waiting=self._team.waiting))
         return self._session
 
     def _finish(self) -> None:
@@ -120,24 +123,24 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
     """
     images = VirtualFrames(team, varied[0][1])
     stays_open = images.reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
-    candidates = [candidate for candidate, _ in varied]
     with ExitStack() as stack:
-        sessions = [stack.enter_context(CandidateSession(team, inputs, stays_open=stays_open)) for _, inputs in varied]
-        fields = _measure_pair(candidates, sessions, frame, advance)
-        points = team.alike(lambda: draw_points(fields))
-        trials = [evaluate_pair(candidate, field, points, images.material)
-                  for candidate, field in zip(candidates, fields, strict=True)]
+        sessions = [stack.enter_context(CandidateSession(team, candidate, inputs, stays_open=stays_open))
+                    for candidate, inputs in varied]
+        trials, fields = _measure_pair(sessions, frame, advance)
+        points = team.alike(lambda: draw_points(trials, fields))
+        trials = [evaluate_pair(trial, field, points, images.material)
+                  for trial, field in zip(trials, fields, strict=True)]
         noise = estimate_pair_noise(trials, images.find_noise_transfer(trials))
         trials = predict_errors(trials, noise, images.measure_gradient(points))
         known = int(np.nanargmin([trial.predicted_error for trial in trials]))
-        field = require_held(fields[known].result)
+        field = require_held(fields[known])
         start = keep_displacement(field, "the measured field")
         truth = VirtualTruth(field.mesh, field.displacement)
         again = sessions[known].measure_virtual(images.render(truth, 0.0), start)
         truth = truth if again is None else truth.with_lost_detail(again)
         virtual = images.render(truth, float(np.sqrt(noise.of_field)))
         for number, session in enumerate(sessions):
-            advance(f"virtual images, {candidates[number].describe()}")
+            advance(f"virtual images, {trials[number].candidate.describe()}")
             if not trials[number].failure:
                 measured = session.measure_virtual(virtual, start)
                 trials[number] = evaluate_virtual(trials[number], measured, truth, points)
@@ -146,15 +149,17 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
     return Sweep(tuple(trials), points, noise.camera, known, chosen)
 
 
-def _measure_pair(candidates: Sequence[Candidate], sessions: Sequence[CandidateSession], frame: Frame,
-                  advance: Advance) -> list[CandidateField]:
+def _measure_pair(sessions: Sequence[CandidateSession], frame: Frame,
+                  advance: Advance) -> tuple[list[Trial], list[Result | None]]:
     """What each measures of the pair, from the second on starting from the first field."""
-    fields: list[CandidateField] = []
+    trials: list[Trial] = []
+    fields: list[Result | None] = []
     start = None
-    for candidate, session in zip(candidates, sessions, strict=True):
-        advance(f"images of the case, {candidate.describe()}")
-        fields.append(session.measure_pair(frame, start))
-        found = fields[-1].result
-        if start is None and found is not None:
-            start = keep_displacement(found, "the first field")
-    return fields
+    for session in sessions:
+        advance(f"images of the case, {session.candidate.describe()}")
+        trial, field = session.measure_pair(frame, start)
+        trials.append(trial)
+        fields.append(field)
+        if start is None and field is not None:
+            start = keep_displacement(field, "the first field")
+    return trials, fields

@@ -13,7 +13,7 @@ from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import Rectangle, choose_controlled_lines
+from ddic.inputs.rectangle import Rectangle, build_rectangle, check_rectangle, choose_controlled_lines, find_rectangle
 from ddic.parallel.distribution import TeamSums
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
@@ -76,7 +76,7 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
 
     Pixels are spread over ranks. Raises InputError on all ranks.
     """
-    rectangle, case = require_held(inputs.rectangle), inputs.case
+    rectangle, case = team.together(lambda: _choose_rectangle(inputs)), inputs.case
     with clock.phase(Phase.READ):
         reference = read_reference_pixels(team, inputs, rectangle)
     with clock.phase(Phase.ASSEMBLE):
@@ -86,6 +86,16 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
     scheme = Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
     rules = StoppingRules(section.tolerance, section.rms_tolerance, section.max_corrections, section.stop_at_noise)
     return SeparatedProblem(team, inputs, rectangle, reference, regularization, size, scheme, rules)
+
+
+def _choose_rectangle(inputs: Inputs) -> Rectangle:
+    """What is measured; raises InputError where that is no rectangle inside the image."""
+    case, mesh, image = inputs.case, inputs.given_mesh, inputs.cameras[0].reference.image
+    if inputs.choose_kinematics is not None:
+        raise InputError("kinematics: [pgd] has products of functions for unknowns; leave one of them out")
+    rectangle = build_rectangle(case) if mesh is None else find_rectangle(mesh)
+    check_rectangle(case, rectangle, image.width, image.height)
+    return rectangle
 
 
 def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferenceBands:
@@ -144,8 +154,7 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
 def measure_separated_size(team: Team, inputs: Inputs, reference: ReferenceBands,
                            regularization: Regularization | None) -> ProblemSize:
     """Count what is about to be measured; collective. Unknowns are those of the Q4 elements between the same lines."""
-    rectangle = require_held(inputs.rectangle)
-    n_x, n_y = rectangle.along_x.n_nodes, rectangle.along_y.n_nodes
+    n_x, n_y = reference.along_x.n_nodes, reference.along_y.n_nodes
     own = [(float(np.nanmin(band.values)), float(np.nanmax(band.values))) for band in reference.bands
            if np.isfinite(band.values).any()]
     ranges = team.gather_lists(own)

@@ -64,7 +64,7 @@ class FieldDeviations:
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
+class FieldUncertainty:
     """What noise and regularization do to a field.
 
     Attributes
@@ -94,8 +94,8 @@ class Uncertainty:
     force_noise: ForceNoise | None = None
 
 
-def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
-                         q: Field, unmeasured: Sequence[NDArray[np.bool_]]) -> Uncertainty:
+def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
+                               q: Field, unmeasured: Sequence[NDArray[np.bool_]]) -> FieldUncertainty:
     """Estimate what noise and regularization do to a measured field; collective.
 
     ``problem`` has the operators that found the field, ``model`` the pixels that count. ``unmeasured`` are the nodes of
@@ -119,10 +119,10 @@ def estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluat
     deviations = estimate_deviations(team, subdomains, step, forces, scale, unmeasured)
     rms = _measure_rms(team, subdomains, deviations)
     at_nodes = None if bias is None else _displace(team, subdomains, bias, unmeasured)
-    return Uncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces)
+    return FieldUncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces)
 
 
-def describe_uncertainty(uncertainty: Uncertainty) -> tuple[str, ...]:
+def describe_uncertainty(uncertainty: FieldUncertainty) -> tuple[str, ...]:
     """Say in a line how large the noise of the images and of the field is."""
     noise, of_forces = uncertainty.noise, uncertainty.force_noise
     strength = "" if of_forces is None else f", acting {of_forces.excess:.2f} times as strongly as if it were white"
@@ -130,7 +130,7 @@ def describe_uncertainty(uncertainty: Uncertainty) -> tuple[str, ...]:
             f"deviation of {uncertainty.rms:.2g} px in each component (RMS over nodes)",)
 
 
-def list_uncertainty(uncertainty: Uncertainty) -> dict[str, Any]:
+def list_uncertainty(uncertainty: FieldUncertainty) -> dict[str, Any]:
     """List what the standard deviations were found from, and how large they are: attributes of the result file."""
     noise, of_forces = uncertainty.noise, uncertainty.force_noise
     told = {"noise_grey": noise.sigma[0], "noise_origin": noise.origin, "noise_transfer": uncertainty.transfer,

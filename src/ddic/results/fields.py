@@ -148,14 +148,6 @@ BATCH_POINTS = 1 << 14
 """Points from which on pieces are sent and written together (about 6 MB); a larger value takes memory on rank 0."""
 
 
-@dataclass(frozen=True)
-class _Batch:
-    """Pieces that follow each other, joined."""
-
-    n_pieces: int
-    pieces: Piece
-
-
 def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     """Write the mesh and the fields of all subdomains; collective, the writer is rank 0's."""
     team, images = measurement.team, measurement.inputs.case.images
@@ -173,11 +165,11 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     gradients = recover_nodal_gradients(team, measurement.subdomains, measurement.displacements)
     n_written = 0
 
-    def write(batch: _Batch) -> None:
+    def write(batch: tuple[int, Piece]) -> None:
         nonlocal n_written
-        numbers = range(n_written, n_written + batch.n_pieces)
-        require_held(writer).write_pieces(numbers, batch.pieces)
-        n_written = numbers.stop
+        n_pieces, joined = batch
+        require_held(writer).write_pieces(range(n_written, n_written + n_pieces), joined)
+        n_written += n_pieces
 
     stream_to_root(team, _make_batches(measurement, drawn, gradients), write)
 
@@ -197,8 +189,11 @@ def _group(counts: Sequence[int]) -> Iterator[range]:
 
 
 def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
-                  gradients: Sequence[NDArray[np.float64]]) -> Iterator[_Batch]:
-    """Pieces of owned subdomains, joined; gradients: of the displacement at their nodes, (n_nodes, 2, 2) each."""
+                  gradients: Sequence[NDArray[np.float64]]) -> Iterator[tuple[int, Piece]]:
+    """Pieces of owned subdomains that follow each other: how many, and joined to one.
+
+    ``gradients`` are those of the displacement at their nodes, (n_nodes, 2, 2) each.
+    """
     displacements, subdomains = measurement.displacements, measurement.subdomains
     for numbers in _group([piece.mesh.n_nodes for piece in drawn]):
         joined = join_pieces([_make_piece(measurement, drawn[number], number, displacements[number])
@@ -212,8 +207,8 @@ def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
         on_cells = {schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal[cells]),
                     schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange[cells])}
         at_points = describe_nodal_strains(of_points.reshape(-1, 2, 2))
-        yield _Batch(len(numbers), replace(joined, point_data={**joined.point_data, **at_points},
-                                           cell_data={**joined.cell_data, **on_cells}))
+        yield len(numbers), replace(joined, point_data={**joined.point_data, **at_points},
+                                    cell_data={**joined.cell_data, **on_cells})
 
 
 def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: NDArray[np.float64]) -> Piece:

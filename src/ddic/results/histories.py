@@ -1,4 +1,4 @@
-"""Tables, curves and attributes of a measurement in the result file, by PGD-DIC too."""
+"""Tables, curves and attributes of a measurement in the result file."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import ResultWriter
 from ddic.results.near import describe_near_field
+from ddic.results.publishable import Publishable
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
-    from ddic.results.separated import SeparatedMeasurement
 
 
 def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
@@ -44,18 +44,8 @@ def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
 
 def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
     """Write the case, the times and units, and what is known of near-field set-ups; on rank 0."""
-    inputs = measurement.inputs
-    images = inputs.case.images
-    writer.write_attributes(schema.CASE, {
-        "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.asked_case.model_dump_json(),
-        "eta": measurement.size.eta, "largest_jump_px": measurement.largest_jump, "notes": "\n".join(inputs.notes),
-    })
-    writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
-    writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
-    half_amplitudes = measurement.size.half_amplitudes
-    if half_amplitudes is not None:
-        writer.write_attributes(schema.CASE, {"half_amplitude_shear_px": half_amplitudes.shear,
-                                              "half_amplitude_longitudinal_px": half_amplitudes.longitudinal})
+    write_case(measurement, writer, {"largest_jump_px": measurement.largest_jump,
+                                     "notes": "\n".join(measurement.inputs.notes)})
     if measurement.uncertainty is not None:
         from ddic.results.field_uncertainty import list_uncertainty
 
@@ -64,40 +54,16 @@ def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
         writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))
 
 
-def write_separated_tables(measurement: SeparatedMeasurement, writer: ResultWriter) -> None:
-    """Write the table of corrections, the case, times and units; on rank 0."""
-    writer.write_table(schema.CORRECTIONS, list_corrections(measurement))
-    inputs, size = measurement.inputs, measurement.size
+def write_case(measured: Publishable, writer: ResultWriter, of_method: dict[str, Any]) -> None:
+    """Write the case with what a method has to say beside it, and the times and units; on rank 0."""
+    inputs, size = measured.inputs, measured.size
     images = inputs.case.images
     writer.write_attributes(schema.CASE, {
-        "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.case.model_dump_json(),
-        "eta": size.eta, "largest_jump_px": 0.0, "stop": measurement.solution.stop,
+        "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.asked_case.model_dump_json(),
+        "eta": size.eta, **of_method,
     })
     writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
     writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
     if size.half_amplitudes is not None:
         writer.write_attributes(schema.CASE, {"half_amplitude_shear_px": size.half_amplitudes.shear,
                                               "half_amplitude_longitudinal_px": size.half_amplitudes.longitudinal})
-
-
-def list_corrections(measurement: SeparatedMeasurement) -> dict[str, list[Any]]:
-    """List the corrections of PGD-DIC, columns by name; the residual is that before each correction."""
-    records = measurement.solution.records
-    return {
-        "correction": [r.number for r in records],
-        "rms_x_px": [r.rms[0] for r in records],
-        "rms_y_px": [r.rms[1] for r in records],
-        "relative_x": [r.relative[0] for r in records],
-        "relative_y": [r.relative[1] for r in records],
-        "fluctuation_x": [r.fluctuation[0] for r in records],
-        "fluctuation_y": [r.fluctuation[1] for r in records],
-        "gain": [r.gain for r in records],
-        "noise_gain": [r.noise_gain for r in records],
-        "sweeps": [r.n_sweeps for r in records],
-        "modes": [r.n_modes for r in records],
-        "residual_std_grey": [r.grey.residual_std for r in records],
-        "residual_rms_grey": [r.grey.residual_rms for r in records],
-        "n_pixels": [r.grey.n_pixels for r in records],
-        "grey_gain": [r.grey.gain for r in records],
-        "grey_offset": [r.grey.offset for r in records],
-    }

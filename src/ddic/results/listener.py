@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol
 
 from ddic.parallel.phases import Phase
@@ -17,56 +18,33 @@ class Listener(Protocol):
 
     def phase(self, phase: Phase) -> None:
         """Take note of a phase that begins."""
-        ...
 
     def progress(self, share: float) -> None:
         """Take note of how far the phase at hand is: the share that this rank has done, from 0 to 1."""
-        ...
 
     def note(self, line: str) -> None:
         """Take note of something worth a line."""
-        ...
 
     def frame(self, number: int, n_frames: int, image: str) -> None:
         """Take note of a frame of a series that begins: its number, from 1, and the name of its image's file."""
-        ...
 
     def problem_size(self, size: ProblemSize) -> None:
         """Take note of what is about to be solved."""
-        ...
 
     def iteration(self, record: IterationRecord) -> None:
         """Take note of one Gauss-Newton iteration."""
-        ...
 
     def correction(self, record: CorrectionRecord) -> None:
         """Take note of one correction of PGD-DIC."""
-        ...
 
 
-class Silence(Listener):
-    """Says nothing."""
+class Silence:
+    """A listener that says nothing."""
 
-    def phase(self, phase: Phase) -> None:
+    def note(self, *_: object, **__: object) -> None:
         """Ignore."""
 
-    def progress(self, share: float) -> None:
-        """Ignore."""
-
-    def note(self, line: str) -> None:
-        """Ignore."""
-
-    def frame(self, number: int, n_frames: int, image: str) -> None:
-        """Ignore."""
-
-    def problem_size(self, size: ProblemSize) -> None:
-        """Ignore."""
-
-    def iteration(self, record: IterationRecord) -> None:
-        """Ignore."""
-
-    def correction(self, record: CorrectionRecord) -> None:
-        """Ignore."""
+    phase = progress = frame = problem_size = iteration = correction = note
 
 
 class WithoutNotes(Listener):
@@ -107,3 +85,9 @@ class WithoutNotes(Listener):
     def correction(self, record: CorrectionRecord) -> None:
         """Pass it on."""
         self._listener.correction(record)
+
+
+def note_all(listener: Listener, notes: Iterable[str]) -> None:
+    """Tell a listener some notes, a line each."""
+    for line in notes:
+        listener.note(line)

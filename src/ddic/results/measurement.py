@@ -33,10 +33,17 @@ from ddic.problem.region_mesh import Region, compute_cut_off_wavelength
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.fields import write_pieces
-from ddic.results.histories import write_attributes, write_histories
-from ddic.results.near import SetupMotion, collect_motions, describe_motions, estimate_covariances
+from ddic.results.histories import list_iterations, write_attributes, write_histories
+from ddic.results.near import (
+    SetupMotion,
+    collect_motions,
+    describe_motions,
+    estimate_covariances,
+    summarize_near_field,
+)
 from ddic.results.publishing import describe_image
 from ddic.results.residual_image import write_residual_images
+from ddic.results.summary import Summary, find_field_ranges
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.visibility.cell_errors import (
     CellErrors,
@@ -53,7 +60,7 @@ from ddic.visibility.slow_nodes import estimate_node_deviations
 from ddic.visibility.solved_frame import SolvedFrame
 
 if TYPE_CHECKING:
-    from ddic.results.field_uncertainty import Uncertainty
+    from ddic.results.field_uncertainty import FieldUncertainty
 
 
 Array = NDArray[np.float64]
@@ -105,7 +112,7 @@ class Measurement:
         How the linear steps were solved, as a case calls it.
     shown_share : float
         Share of the cells that are seen where the field puts them.
-    uncertainty : Uncertainty or None
+    uncertainty : FieldUncertainty or None
         What noise and regularization do to the field, where the case asks for it.
     """
 
@@ -130,7 +137,7 @@ class Measurement:
     method: str = ""
     preconditioner: str = "none"
     shown_share: float = 1.0
-    uncertainty: Uncertainty | None = None
+    uncertainty: FieldUncertainty | None = None
 
     @property
     def team(self) -> Team:
@@ -192,15 +199,40 @@ class Measurement:
 
     def write(self, writer: ResultWriter | None) -> None:
         """Write fields, histories and residual images; collective, the writer is rank 0's, None elsewhere."""
+        def write_on_root() -> None:
+            opened = require_held(writer)
+            write_histories(self, opened)
+            write_attributes(self, opened)
+            opened.write_status(self.failure)
+
         write_pieces(self, writer)
-        self.team.build_on_root(lambda: self._write_histories(require_held(writer)))
+        self.team.build_on_root(write_on_root)
         if self.inputs.case.output.residual_image:
             write_residual_images(self, writer)
 
-    def _write_histories(self, writer: ResultWriter) -> None:
-        write_histories(self, writer)
-        write_attributes(self, writer)
-        writer.write_status(self.failure)
+    def summarize(self, of_run: dict[str, Any]) -> Summary:
+        """Sum it up in numbers for scripts and people, the same on all ranks; collective."""
+        grey, size, records = self.evaluation.grey, self.size, self.records
+        n_pixels = sum(camera.n_pixels for camera in grey)
+        fields = zip((subdomain.mesh for subdomain in self.subdomains), self.displacements, strict=True)
+        return Summary(
+            **of_run,
+            iterations=self.n_iterations,
+            local_iterations=len(records) - self.n_iterations,
+            residual_std_grey=grey[0].residual_std,
+            residual_percent_of_range=100 * grey[0].residual_std / size.dynamic_range,
+            n_pixels=n_pixels,
+            n_pixels_outside=size.n_pixels - n_pixels,
+            krylov_iterations=[record.krylov_iterations for record in records],
+            largest_jump_px=self.largest_jump,
+            linear_error_px=records[-1].linear_error if records else float("nan"),
+            near=[summarize_near_field(self, motion) for motion in self.motions],
+            stop=self.stop,
+            method=self.method,
+            preconditioner=self.preconditioner,
+            ranges=find_field_ranges(self.team, list(fields)),
+            iteration_table=list_iterations(self),
+        )
 
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from: sizes, and the first camera's images with their checksums."""
@@ -238,7 +270,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     cell_errors = [replace(of_cells, doubtful=of_cells.doubtful | is_led)
                    for of_cells, is_led in zip(cell_errors, are_led_astray, strict=True)]
     unmeasured = find_unmeasured_nodes(problem, evaluation)
-    uncertainty: Uncertainty | None = None
+    uncertainty: FieldUncertainty | None = None
     of_uncertainty: tuple[str, ...] = ()
     # A field that is no result has none.
     if inputs.case.output.uncertainty and not failure:
@@ -260,12 +292,12 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
 
 
 def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field,
-                          unmeasured: list[NDArray[np.bool_]]) -> tuple[Uncertainty | None, tuple[str, ...]]:
+                          unmeasured: list[NDArray[np.bool_]]) -> tuple[FieldUncertainty | None, tuple[str, ...]]:
     """Standard deviations, and what is said of them; a linear step that fails for them does not lose the field."""
-    from ddic.results.field_uncertainty import describe_uncertainty, estimate_uncertainty
+    from ddic.results.field_uncertainty import describe_uncertainty, estimate_field_uncertainty
 
     try:
-        found = estimate_uncertainty(problem, model, evaluation, q, unmeasured)
+        found = estimate_field_uncertainty(problem, model, evaluation, q, unmeasured)
     except ConvergenceError as error:
         # What this rank alone raises must end the job.
         if not is_collective(error):

@@ -1,4 +1,4 @@
-"""How a measurement leaves the program: one protocol, whatever it is made of.
+"""How a measurement leaves the program, whatever it is made of: to a file, or to memory.
 
 Where a result comes from: images, versions, commit, command.
 
@@ -18,12 +18,11 @@ from datetime import UTC, datetime
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import mpi4py.MPI
 import numpy as np
 import petsc4py.PETSc
-from numpy.typing import NDArray
 
 from ddic.images.source import ImageSource
 from ddic.io import result_schema as schema
@@ -34,24 +33,14 @@ from ddic.io.result_reader import Result
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
+from ddic.results.publishable import Publishable
 from ddic.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
 
 def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
-    """Collect the facts that let a reader repeat a measurement; on rank 0.
-
-    Parameters
-    ----------
-    origin : dict
-        What it was measured from.
-
-    Returns
-    -------
-    dict
-        Date, command, versions, then what was given.
-    """
+    """Collect the facts that let a reader repeat a measurement: date, command, versions, then ``origin``; on rank 0."""
     return {"date": datetime.now(UTC).isoformat(timespec="seconds"), "command": " ".join(sys.argv),
             **_collect_versions(), **origin}
 
@@ -78,20 +67,7 @@ def _compute_checksum(path: Path, size: int, changed: int) -> str:
 
 
 def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
-    """Describe an image by its path, size and checksum.
-
-    Parameters
-    ----------
-    name : str
-        What the image is.
-    image : ImageSource
-        From a file, or in memory.
-
-    Returns
-    -------
-    dict
-        NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory.
-    """
+    """Describe an image by NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory."""
     if image.path.is_file():
         status = image.path.stat()
         checksum = _compute_checksum(image.path, status.st_size, status.st_mtime_ns)
@@ -124,20 +100,7 @@ class PhaseTimes:
 
 
 def gather_phase_times(team: Team, clock: PhaseClock) -> PhaseTimes:
-    """Gather what the clocks of all ranks have so far; collective.
-
-    Parameters
-    ----------
-    team : Team
-        All ranks.
-    clock : PhaseClock
-        This rank's.
-
-    Returns
-    -------
-    PhaseTimes
-        The same on all ranks, of the phases that this rank has had.
-    """
+    """Gather what the clocks of all ranks have so far, of the phases that this rank has had; collective."""
     clocks = team.gather_lists([(clock.wall, clock.cpu, clock.busy)])
     seconds, cpu_seconds, imbalance = {}, {}, {}
     for phase in clock.wall:
@@ -154,53 +117,6 @@ def _imbalance(busy: list[float]) -> float:
 
 
 T = TypeVar("T")
-
-
-class Publishable(Protocol):
-    """What a measurement does to be read by others; every call is collective.
-
-    A method without subdomains or a mesh writes what it has: images, tables, attributes.
-    """
-
-    @property
-    def team(self) -> Team:
-        """All ranks."""
-        ...
-
-    def write(self, writer: ResultWriter | None) -> None:
-        """Write everything that was measured.
-
-        Parameters
-        ----------
-        writer : ResultWriter or None
-            Open on rank 0, None elsewhere.
-        """
-        ...
-
-    def describe_origin(self) -> dict[str, str | int]:
-        """Say what it was measured from.
-
-        Returns
-        -------
-        dict
-            Images and sizes, by name; on rank 0.
-        """
-        ...
-
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Interpolate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Where, pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels; nan where nothing was measured.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -228,55 +144,21 @@ class Destination:
 def publish(measurement: Publishable, destination: Destination, files: NewFiles | None = None) -> None:
     """Write a result file; collective, only rank 0 touches the disk.
 
-    Parameters
-    ----------
-    measurement : Publishable
-        What was measured.
-    destination : Destination
-        Where it goes.
-    files : NewFiles, optional
-        Of rank 0, with which it takes its name there; by default it does so by itself.
-
-    Raises
-    ------
-    OSError
-        Where it cannot be written, on all ranks.
+    It takes its name with ``files`` of rank 0, by default by itself. Raises OSError on all ranks where it cannot be
+    written.
     """
     _write(measurement, destination, lambda _: None, files)
 
 
 def gather(measurement: Publishable) -> Result:
-    """Bring a whole measurement together; collective.
-
-    Parameters
-    ----------
-    measurement : Publishable
-        What was measured.
-
-    Returns
-    -------
-    Result
-        As a result file would hold it, in memory, on every rank.
-    """
+    """Bring a whole measurement together as a result file would hold it, in memory, on every rank; collective."""
     return measurement.team.broadcast(_write(measurement, Destination(None), ResultWriter.read_back))
 
 
 def pack(measurement: Publishable, destination: Destination, add: Callable[[ResultWriter], None]) -> bytes | None:
-    """Make a result file in memory, for somebody else to write; collective.
+    """Make the content of a result file, on rank 0, for somebody else to write; collective.
 
-    Parameters
-    ----------
-    measurement : Publishable
-        What was measured.
-    destination : Destination
-        How it is written; its path is not looked at.
-    add : callable
-        Writes what else belongs in the file, on rank 0.
-
-    Returns
-    -------
-    bytes or None
-        Content of the file, on rank 0.
+    The destination's path is not looked at; ``add`` writes what else belongs in the file, on rank 0.
     """
     def finish(writer: ResultWriter) -> bytes:
         add(writer)

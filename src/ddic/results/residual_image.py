@@ -184,12 +184,18 @@ def write_residual_images(measurement: Measurement, writer: ResultWriter | None)
 
 
 def _write_residual_image(measurement: Measurement, camera: Camera, writer: ResultWriter | None) -> None:
-    team, image = measurement.team, camera.reference.image
+    image = camera.reference.image
     grid = ChunkGrid(image.width, image.height)
-    team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
     seen = _see_in_bands(measurement, camera.number, grid.shape[0])
     windows = [band.window for of_view in seen for band in of_view.bands]
-    chunks = pack_chunks(team, grid, windows, _make_patches(measurement, camera.number, seen))
+    write_patches(measurement.team, writer, grid, windows, _make_patches(measurement, camera.number, seen))
+
+
+def write_patches(team: Team, writer: ResultWriter | None, grid: ChunkGrid, windows: list[Window],
+                  patches: Iterator[Patch]) -> None:
+    """Write a residual image of which each rank has some patches, in their windows; collective."""
+    team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
+    chunks = pack_chunks(team, grid, windows, patches)
     stream_chunks(team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number, chunk.data))
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import resource
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
 from ddic.io.input_file import find_real_path
@@ -15,17 +17,12 @@ from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
 from ddic.io.sidecars import move_result, remove_result
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.measurement import Measurement
+from ddic.results.publishable import Publishable
 from ddic.results.publishing import Destination, gather_phase_times, publish
-from ddic.results.summarize import summarize
 from ddic.results.summary import Summary, write_summary
 
-if TYPE_CHECKING:
-    from ddic.results.separated import SeparatedMeasurement
 
-
-def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock, file: Path,
-              noise_floor: float = float("nan")) -> Summary:
+def write_run(measurement: Publishable, clock: PhaseClock, file: Path, noise_floor: float = float("nan")) -> Summary:
     """Write a result, converged or not, and its summary, the same on all ranks; collective.
 
     ``noise_floor`` is the RMS displacement that the images' noise leaves, pixels; nan where it is not known. Raises
@@ -38,13 +35,50 @@ def write_run(measurement: Measurement | SeparatedMeasurement, clock: PhaseClock
             with clock.phase(Phase.WRITE):
                 publish(measurement, Destination(file, output.flip_y, gather_phase_times(team, clock), noise_floor),
                         files)
-            summary = replace(summarize(measurement, clock), result_file=str(file), noise_floor_px=noise_floor)
+            of_run = {**_describe_run(measurement, clock), "result_file": str(file), "noise_floor_px": noise_floor}
+            summary = measurement.summarize(of_run)
             team.on_root(lambda: write_summary(summary_path(file), summary, files))
         except InputError as error:
             # It could be written when the case was checked: the inputs are not to blame.
             raise as_collective(WriteError(str(error))) from error
         team.build_on_root(stack.pop_all().close)
     return summary
+
+
+def _describe_run(measurement: Publishable, clock: PhaseClock) -> dict[str, Any]:
+    """What is told of any method, by field of the summary; collective."""
+    team, inputs, size = measurement.team, measurement.inputs, measurement.size
+    section = inputs.case.regularization
+    memory = team.gather_lists([resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
+    times = gather_phase_times(team, clock)
+    return {
+        "converged": not measurement.failure,
+        "failure": measurement.failure,
+        "n_dofs": size.n_unknowns,
+        "n_subdomains": size.n_subdomains,
+        "n_ranks": size.n_ranks,
+        "seconds": times.seconds,
+        "cpu_seconds": times.cpu_seconds,
+        "imbalance": times.imbalance,
+        "peak_memory_bytes": memory,
+        "eta": size.eta or None,
+        "cut_off_wavelength": None if section is None else section.cut_off_wavelength,
+        "grey_correction": measurement.grey_correction,
+        "notes": measurement.notes,
+        "half_amplitudes": size.half_amplitudes,
+        "images": _list_images(measurement),
+        "case": {"path": str(inputs.case_path), **json.loads(inputs.asked_case.model_dump_json())},
+    }
+
+
+def _list_images(measurement: Publishable) -> dict[str, str]:
+    """Paths of all cameras' images, by what they are."""
+    paths = {}
+    for camera, deformed in zip(measurement.inputs.cameras, measurement.frame, strict=True):
+        prefix = f"near_{camera.number}_" if camera.number else ""
+        paths[f"{prefix}reference"] = str(camera.reference.image.path)
+        paths[f"{prefix}deformed"] = str(deformed.image.path)
+    return paths
 
 
 @contextmanager
@@ -106,10 +140,8 @@ def _write_last_field(team: Team, error: DdicError, destination: Destination, st
     """Write the field that an error brings; says where it is."""
     file = destination.path
     assert file is not None
-    from ddic.results.separated import SeparatedMeasurement
-
     last = error.last if isinstance(error, ConvergenceError) else None
-    if not isinstance(last, Measurement | SeparatedMeasurement):
+    if not isinstance(last, Publishable):
         remove_failed_field(team, file, start)
         return []
     path = not_converged_path(file)

@@ -31,10 +31,11 @@ from ddic.parallel.team import Team, require_held
 from ddic.problem.separated_problem import SeparatedProblem
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.fields import convert_to_six_components, describe_nodal_strains
-from ddic.results.histories import write_separated_tables
+from ddic.results.histories import write_case
 from ddic.results.publishing import describe_image
-from ddic.results.residual_image import Patch, pack_chunks, stream_chunks
-from ddic.separated.corrections import SeparatedSolution
+from ddic.results.residual_image import Patch, write_patches
+from ddic.results.summary import Summary, find_field_ranges
+from ddic.separated.corrections import CorrectionRecord, SeparatedSolution
 from ddic.separated.field import LineElements, SeparatedField
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands
 from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
@@ -227,24 +228,65 @@ class SeparatedMeasurement:
     def _write_on_root(self, writer: ResultWriter) -> None:
         write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
         writer.write_separated(self.solution.field)
-        write_separated_tables(self, writer)
+        writer.write_table(schema.CORRECTIONS, list_corrections(self.solution.records))
+        write_case(self, writer, {"largest_jump_px": 0.0, "stop": self.solution.stop})
         writer.write_status(self.failure)
 
     def _write_residual_image(self, writer: ResultWriter | None) -> None:
         image, columns = self.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
-        grid = ChunkGrid(image.width, image.height)
-        self.team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
         patches = [Patch(Window((columns.start, rows.start), (columns.stop, rows.stop)), values)
                    for rows, values in self.residual_rows]
-        chunks = pack_chunks(self.team, grid, [patch.window for patch in patches], iter(patches))
-        stream_chunks(self.team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number,
-                                                                                               chunk.data))
+        write_patches(self.team, writer, ChunkGrid(image.width, image.height), [patch.window for patch in patches],
+                      iter(patches))
+
+    def summarize(self, of_run: dict[str, Any]) -> Summary:
+        """Sum it up in numbers for scripts and people, the same on all ranks; collective."""
+        solution, cells = self.solution, self.cells
+        u = cells.evaluate_displacement(solution.field)
+        return Summary(
+            **of_run,
+            iterations=len(solution.records),
+            residual_std_grey=solution.grey.residual_std,
+            residual_percent_of_range=100 * solution.grey.residual_std / (self.size.dynamic_range or 1.0),
+            n_pixels=solution.grey.n_pixels,
+            n_pixels_outside=self.size.n_pixels - solution.grey.n_pixels,
+            krylov_iterations=[],
+            largest_jump_px=0.0,
+            linear_error_px=float("nan"),
+            stop=solution.stop,
+            n_modes=solution.field.n_modes,
+            method=schema.PGD,
+            ranges=find_field_ranges(self.team, [(cells.build_mesh(), u.ravel())]),
+            iteration_table=list_corrections(solution.records),
+        )
 
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from: sizes, and the images with their checksums."""
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains, "method": schema.PGD,
                 **describe_image("reference", self.cameras[0].reference.image),
                 **describe_image("deformed", self.frame[0].image)}
+
+
+def list_corrections(records: Sequence[CorrectionRecord]) -> dict[str, list[Any]]:
+    """List corrections, columns by name; the residual is that before each of them."""
+    return {
+        "correction": [r.number for r in records],
+        "rms_x_px": [r.rms[0] for r in records],
+        "rms_y_px": [r.rms[1] for r in records],
+        "relative_x": [r.relative[0] for r in records],
+        "relative_y": [r.relative[1] for r in records],
+        "fluctuation_x": [r.fluctuation[0] for r in records],
+        "fluctuation_y": [r.fluctuation[1] for r in records],
+        "gain": [r.gain for r in records],
+        "noise_gain": [r.noise_gain for r in records],
+        "sweeps": [r.n_sweeps for r in records],
+        "modes": [r.n_modes for r in records],
+        "residual_std_grey": [r.grey.residual_std for r in records],
+        "residual_rms_grey": [r.grey.residual_rms for r in records],
+        "n_pixels": [r.grey.n_pixels for r in records],
+        "grey_gain": [r.grey.gain for r in records],
+        "grey_offset": [r.grey.offset for r in records],
+    }
 
 
 def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, notes: tuple[str, ...],

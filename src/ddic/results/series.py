@@ -1,31 +1,15 @@
-"""What is told of the frames of a series: each in a line, all in the summary.
-
-Also what the next frames start from, fields of those before them on the subdomains in use; and frames on their way to
-the disk.
-"""
+"""What is told of the frames of a series: each in a line, all in the summary."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ddic.errors import ConvergenceError, DdicError, is_collective
-from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import NewFiles
-from ddic.io.result_writer import ResultWriter
-from ddic.io.series_folder import BackgroundWriter, FrameState, SeriesFolder
 from ddic.io.text_files import convert_to_json, write_json
-from ddic.parallel.team import Team, require_held
-from ddic.partition.subdomain import Subdomain
-from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.measurement import Measurement, place_at_nodes
-from ddic.results.publishing import Destination, pack, publish
 
 Vertices = tuple[tuple[float, float], ...]
 
@@ -146,114 +130,3 @@ def write_series_summary(path: Path, summary: SeriesSummary, files: NewFiles | N
     of_run = {name: value for name, value in asdict(summary).items() if name != "frames"}
     write_json(path, {"converged": summary.is_whole and not summary.failures, "whole": summary.is_whole, **of_run,
                       "frames": [asdict(frame) for frame in summary.frames]}, files)
-
-
-Array = NDArray[np.float64]
-
-N_STATES = 2
-"""Frames from which the next one is extrapolated."""
-
-
-@dataclass(frozen=True)
-class MeasuredState:
-    """What a frame starts from of an earlier one.
-
-    Attributes
-    ----------
-    time : float
-        Of the earlier frame, unit chosen by the user.
-    q : sequence of (n_unknowns,) array
-        Unknowns of owned subdomains since the first reference image.
-    shown_share : float
-        Share of the cells that were seen where the field put them.
-    holds_back : bool
-        Whether mechanics held cells back from where they were seen, so that the field shows no way to the next frame.
-    """
-
-    time: float
-    q: Sequence[Array]
-    shown_share: float
-    holds_back: bool
-
-    def gather(self, team: Team, subdomains: Sequence[Subdomain], n_nodes: int) -> Array:
-        """Gather the displacement of all nodes since the first reference image, (n_nodes, 2), pixels; collective.
-
-        The result is on all ranks. The unknowns of the subdomains are displacements of nodes.
-        """
-        own = [(subdomain.node_ids, q.reshape(-1, 2)) for subdomain, q in zip(subdomains, self.q, strict=True)]
-        return place_at_nodes(team.gather_lists(own), n_nodes)
-
-    def restrict(self, displacement: Array, subdomains: Sequence[Subdomain]) -> MeasuredState:
-        """Give the same state on other subdomains, from the displacement of ``gather``, (n_nodes, 2), pixels."""
-        return replace(self, q=[displacement[subdomain.node_ids].ravel() for subdomain in subdomains])
-
-
-def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[MeasuredState]:
-    """Take up what an earlier run has measured, on owned subdomains; collective.
-
-    Cameras of ``problem`` are weighted as they were. The list is empty where the subdomains are others: the next frame
-    is searched for then.
-    """
-    if states and states[-1].noise and not problem.is_set_up:
-        problem.set_noise(states[-1].noise)
-    subdomains = problem.reference.subdomains
-    n_other = sum(len(state.unknowns.get(subdomain.index, ())) != subdomain.n_unknowns
-                  for state in states for subdomain in subdomains)
-    if problem.team.sum(n_other):
-        return []
-    return [MeasuredState(state.time, [state.unknowns[subdomain.index] for subdomain in subdomains], state.shown_share,
-                          state.holds_back) for state in states]
-
-
-def extrapolate(before: MeasuredState, last: MeasuredState, time: float) -> list[Array]:
-    """Extrapolate the unknowns of two frames, in order of time, linearly to a third; free of communication.
-
-    Both states are of the same subdomains.
-    """
-    share = (time - last.time) / (last.time - before.time)
-    return [q + share * (q - q_before) for q, q_before in zip(last.q, before.q, strict=True)]
-
-
-def write_frame(measurement: Measurement, record: FrameRecord, folder: SeriesFolder,
-                writer: BackgroundWriter) -> MeasuredState:
-    """Begin to write a frame that was measured; collective, only rank 0 touches the disk.
-
-    Returns what the next frame starts from, as it is written. Raises OSError on all ranks where the frame before could
-    not be written.
-    """
-    team = measurement.team
-    unknowns = measurement.unknowns
-    own = {f"{subdomain.index:06d}": np.asarray(q)
-           for subdomain, q in zip(measurement.subdomains, unknowns, strict=True)}
-    gathered = team.gather_to(own, 0)
-    state = MeasuredState(record.time, unknowns, measurement.shown_share, measurement.excluded.has_held_off(team))
-
-    def add(opened: ResultWriter) -> None:
-        by_subdomain = {name: q for of_rank in require_held(gathered) for name, q in of_rank.items()}
-        opened.write_attributes(schema.SERIES, {"record": record.as_json(), "time": record.time,
-                                                "noise": np.array(measurement.noise, dtype=float),
-                                                "shown_share": state.shown_share, "holds_back": state.holds_back})
-        opened.write_arrays(f"{schema.SERIES}/unknowns", by_subdomain)
-
-    content = pack(measurement, Destination(None, measurement.inputs.case.output.flip_y), add)
-    path = folder.get_frame_path(record.number)
-    team.on_root(lambda: writer.write(path, require_held(content)))
-    return state
-
-
-def write_failed_frame(team: Team, error: DdicError, record: FrameRecord, folder: SeriesFolder) -> None:
-    """Note that a frame could not be measured, and keep its last field; collective.
-
-    What the error brings is written as the result of a pair that did not converge.
-    """
-    last = error.last if isinstance(error, ConvergenceError) else None
-    if isinstance(last, Measurement):
-        path = schema.not_converged_path(folder.result.with_suffix(f".{record.number:06d}{folder.result.suffix}"))
-        try:
-            publish(last, Destination(path, last.inputs.case.output.flip_y))
-        except (OSError, DdicError) as second:
-            # That the frame failed is told first; this comes of it.
-            if not is_collective(second):
-                raise
-            record = replace(record, failure=f"{record.failure}; its last field could not be written ({second})")
-    team.on_root(lambda: folder.write_failure(record.number, record.as_json()))

@@ -1,4 +1,4 @@
-"""What a candidate of a sweep measured of the image pair, and the trial made of it.
+"""How candidates of a sweep are judged: by the image pair, and by virtual images whose displacement is known.
 
 Errors of measured fields are predicted from the residuals and the degrees of freedom of all of them.
 """
@@ -15,58 +15,12 @@ from ddic.errors import ConvergenceError
 from ddic.functionals.regularization import Material
 from ddic.functionals.texture import measure_gap
 from ddic.io.result_reader import Result
+from ddic.methods.virtual_frames import VirtualTruth
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import gather
 from ddic.results.sweep import Candidate, Trial
-from ddic.results.virtual import VirtualTruth
 from ddic.solvers.probing import estimate_degrees_of_freedom, estimate_response
-
-
-@dataclass(frozen=True, eq=False)
-class CandidateField:
-    """What a candidate measured of the pair.
-
-    Attributes
-    ----------
-    result : Result or None
-        The field, on every rank; None where there is none.
-    residual : float
-        RMS over the pixels that count, grey levels.
-    n_pixels : int
-        Their number.
-    degrees_of_freedom : float
-        tr(A^-1 M) and what the correction of grey levels takes, no unit.
-    noise : float
-        RMS of a component at nodes that noise is expected to leave, pixels.
-    failure : str
-        Why there is none; empty where there is one.
-    """
-
-    result: Result | None
-    residual: float = float("nan")
-    n_pixels: int = 0
-    degrees_of_freedom: float = float("nan")
-    noise: float = float("nan")
-    failure: str = ""
-
-
-def collect_candidate_field(problem: WeightedProblem, measurement: Measurement) -> CandidateField:
-    """Collect field, residual, degrees of freedom and noise, the same on all ranks; collective.
-
-    The problem is of one camera, the measurement the last one with it. Raises ConvergenceError on all ranks where a
-    linear step does not converge.
-    """
-    team, state = problem.team, measurement.evaluation.grey[0]
-    systems, step = problem.solver.assembly.systems, problem.solver.step
-    freedom = estimate_degrees_of_freedom(team, systems, step)
-    counted = [~is_unmeasured for is_unmeasured in measurement.unmeasured]
-    noise = state.residual_std / np.sqrt(2.0) * estimate_response(team, systems, step, counted).rms_per_grey
-    result = gather(measurement)
-    # A gain and an offset of each element follow noise as well.
-    n_grey = 2 * result.mesh.n_cells if measurement.grey_correction == "element" else 0
-    return CandidateField(result, state.residual_rms, state.n_pixels, freedom + n_grey, noise)
-
 
 Array = NDArray[np.float64]
 
@@ -78,29 +32,45 @@ LEAST_MEASURED = 0.95
 """Share of the places at which a candidate must measure: without those that are hardest it would look better."""
 
 
-def draw_points(fields: Sequence[CandidateField]) -> Array:
+NOWHERE = np.zeros((0, 2))
+
+
+def collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
+    """Judge what a candidate measured of the pair by residual, degrees of freedom and noise; collective.
+
+    The field comes with the trial, both on every rank. The problem is of one camera, the measurement the last one with
+    it. Raises ConvergenceError on all ranks where a linear step does not converge.
+    """
+    team, state = problem.team, measurement.evaluation.grey[0]
+    systems, step = problem.solver.assembly.systems, problem.solver.step
+    freedom = estimate_degrees_of_freedom(team, systems, step)
+    counted = [~is_unmeasured for is_unmeasured in measurement.unmeasured]
+    noise = state.residual_std / np.sqrt(2.0) * estimate_response(team, systems, step, counted).rms_per_grey
+    result = gather(measurement)
+    # A gain and an offset of each element follow noise as well.
+    n_grey = 2 * result.mesh.n_cells if measurement.grey_correction == "element" else 0
+    return Trial(candidate, NOWHERE, state.residual_rms, state.n_pixels, degrees_of_freedom=freedom + n_grey,
+                 noise=noise), result
+
+
+def draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Array:
     """Draw places all over the mesh of the first field that was measured, the same at every call.
 
     Places are (n_points, 2), pixels. Raises ConvergenceError where no candidate measured anything.
     """
-    result = next((field.result for field in fields if field.result is not None), None)
+    result = next((field for field in fields if field is not None), None)
     if result is None:
-        raise ConvergenceError(f"nothing that the sweep tries measures the pair: {fields[0].failure}")
+        raise ConvergenceError(f"nothing that the sweep tries measures the pair: {trials[0].failure}")
     low, high = result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)
     points = np.random.default_rng(0).uniform(low, high, (N_POINTS, 2))
     return np.asarray(points[np.isfinite(result.at(points)).all(axis=1)])
 
 
-def evaluate_pair(candidate: Candidate, field: CandidateField, points: Array, material: Material) -> Trial:
-    """Judge what a candidate measured of the pair at points, (n_points, 2), pixels; the trial has no errors yet.
-
-    By ``material`` the forces out of equilibrium are computed.
-    """
-    if field.result is None:
-        return Trial(candidate, np.full(points.shape, np.nan), failure=field.failure)
-    gap = measure_gap(field.result.mesh, field.result.displacement, material)
-    return Trial(candidate, field.result.at(points), field.residual, field.n_pixels, gap, field.degrees_of_freedom,
-                 field.noise)
+def evaluate_pair(trial: Trial, field: Result | None, points: Array, material: Material) -> Trial:
+    """Add what a candidate measured of the pair at points, (n_points, 2), pixels, and its forces out of equilibrium."""
+    if field is None:
+        return replace(trial, displacement=np.full(points.shape, np.nan))
+    return replace(trial, displacement=field.at(points), gap=measure_gap(field.mesh, field.displacement, material))
 
 
 def evaluate_virtual(trial: Trial, result: Result | None, truth: VirtualTruth, points: Array) -> Trial:
