@@ -1,7 +1,5 @@
 """``python -m ddic.compile_kernels``: compile the pixel kernels into numba's cache, so that no run has to."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Errors that ddic raises on purpose; each carries the exit code of the command line."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.errors import InputError, as_collective
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite, find_saturation
@@ -115,7 +116,7 @@ def _find_saturation(image: Image, source: ImageSource, name: str) -> float | No
     return find_saturation(source) if image.saturation is None else image.saturation
 
 
-def _used_pixels(image: Image, source: ImageSource, name: str) -> NDArray[np.bool_] | None:
+def _used_pixels(image: Image, source: ImageSource, name: str) -> BoolArray | None:
     """Where pixels are used, (height, width); None where all are."""
     used = None if image.mask is None else _read_given_mask(image.mask, source, name)
     if isinstance(image.pixels, np.ma.MaskedArray):
@@ -124,7 +125,7 @@ def _used_pixels(image: Image, source: ImageSource, name: str) -> NDArray[np.boo
     return used
 
 
-def _read_given_mask(mask: NDArray[Any] | str | Path, image: ImageSource, name: str) -> NDArray[np.bool_]:
+def _read_given_mask(mask: NDArray[Any] | str | Path, image: ImageSource, name: str) -> BoolArray:
     if isinstance(mask, str | Path):
         return read_mask(Path(mask), image.width, image.height)
     values = _convert_to_pixels(mask, f"{name}'s mask")
@@ -227,7 +228,7 @@ def _convert_start(given: Any, reference: MaskedSource) -> GivenStart:
     return converted
 
 
-def _convert_numbers(given: Any, what: str) -> NDArray[np.float64]:
+def _convert_numbers(given: Any, what: str) -> Array:
     try:
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -1,7 +1,5 @@
 """How to measure: settings as a case file has them, own kinematics, the ranks."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 What displacements of one's own speckle are measured with, by size of the elements, without and with a line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +14,7 @@ from scipy import ndimage
 
 from ddic.api.measure import measure
 from ddic.api.options import load_given_case, make_case
+from ddic.arrays import Array, IntArray
 from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method_section
 from ddic.case.named_files import list_deformed
@@ -128,8 +127,6 @@ def _vary(inputs: Inputs, candidate: Candidate) -> Inputs:
     return replace(inputs, case=case, n_frames=N_FRAMES,
                    build_mesh=lambda: build_meshes(case, image.width, image.height))
 
-
-Array = NDArray[np.float64]
 
 Kind = Literal["uniform", "discontinuous"]
 KINDS: tuple[Kind, Kind] = ("uniform", "discontinuous")
@@ -283,7 +280,7 @@ def _take_middle(image: NDArray[Any]) -> Array:
     return grey[y:y + LARGEST_SIDE, x:x + LARGEST_SIDE].astype(np.float64)
 
 
-def _find_corner(image: NDArray[Any]) -> NDArray[np.int64]:
+def _find_corner(image: NDArray[Any]) -> IntArray:
     """Column and row of the first pixel of an image's middle."""
     height, width = image.shape
     return np.maximum(np.array([width, height]) - LARGEST_SIDE, 0) // 2

@@ -1,7 +1,5 @@
 """Image pairs with a known displacement, to try a measurement out before the test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -9,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.synth.fields import DisplacementField, Hole
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 DIFFERENCE_PX = 1e-3

@@ -1,16 +1,12 @@
 """Families of camera mappings with few parameters, for their identification."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.images.camera import CameraMapping
-
-Array = NDArray[np.float64]
 
 Kind = Literal["translation", "similarity", "homography"]
 

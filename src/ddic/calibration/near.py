@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.calibration.camera_models import CameraModel, Kind, fit_similarity
 from ddic.calibration.registration import TOLERANCE, NearImage, Registration, read_near_image, register
 from ddic.errors import ConvergenceError, InputError
@@ -22,8 +23,6 @@ from ddic.images.source import ImageSource
 from ddic.images.spline import GradientImage, read_gradient
 from ddic.images.window import Window
 from ddic.mesh.plane import build_rotation
-
-Array = NDArray[np.float64]
 
 RATIO_RANGE = 0.15
 """Relative error of the given ratio that the search covers; a larger one takes longer, for steps are shares of it."""

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, ndimage
 
+from ddic.arrays import Array, BoolArray
 from ddic.calibration.camera_models import CameraModel
 from ddic.errors import ConvergenceError
 from ddic.images.camera import CameraMapping
 from ddic.images.source import ImageSource
 from ddic.images.spline import PADDING, GradientImage, read_gradient, read_spline
 from ddic.images.window import Window
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-4
 """Gauss-Newton stops when the corners of the near image's part move by less, near px."""
@@ -186,7 +185,7 @@ class _Patch:
 
     rows: slice
     columns: slice
-    mask: NDArray[np.bool_]
+    mask: BoolArray
     points: Array
 
 
@@ -311,7 +310,7 @@ def _describe(model: CameraModel, parameters: Array, linear: _Linearised, seen: 
     )
 
 
-def _correlated_scatter(residual: Array, weights: Array, mask: NDArray[np.bool_]) -> Array:
+def _correlated_scatter(residual: Array, weights: Array, mask: BoolArray) -> Array:
     """Z^T R Z: sums over pairs of pixels, distance by distance, each pair of distances +-(dx, dy) once."""
     height, width = mask.shape
     r = np.zeros((height, width))

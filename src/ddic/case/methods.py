@@ -4,8 +4,6 @@ A method is named by its module, which is imported where a case asks for it. So 
 lies below ``ddic.methods``, as checks do, can ask the method of a case too.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The files that a case names: what it reads; its deformed images, one or a series, in order and with their times."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from glob import glob

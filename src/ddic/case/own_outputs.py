@@ -3,8 +3,6 @@
 Those of commands, and the result of a case with what stands beside it.
 """
 
-from __future__ import annotations
-
 import errno
 import mmap
 import os

@@ -1,7 +1,5 @@
 """Element size and cut-off wavelength of a case: others in their place, and which are worth a try."""
 
-from __future__ import annotations
-
 from ddic.case.schema import Case, RegularizationSection
 
 ELEMENT_FACTORS = (0.5, 2**-0.5, 1.0, 2**0.5, 2.0)

@@ -4,8 +4,6 @@ The text below a key is what it means; ``note`` holds what its type does not tel
 them (scripts/write_case_reference.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path

@@ -1,15 +1,13 @@
 """All inputs of a case validated without solving, in one order, near-field images too, and for the ranks at hand."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import IntArray
 from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.methods import find_method
 from ddic.case.named_files import list_cameras, list_named_files
@@ -150,7 +148,7 @@ def _build_mesh(loaded: LoadedCase, reference: ImageSource | None, problems: Pro
     return CheckedMesh(mesh, tying, np.ones(mesh.n_cells, np.int64))
 
 
-def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> NDArray[np.int64]:
+def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> IntArray:
     """Number of pixels of each cell in the images of the camera that measures it, (n_cells,); raises InputError."""
     if not case.near:
         return rasterize(mesh).pixel_counts

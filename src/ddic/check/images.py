@@ -1,12 +1,10 @@
 """Whether an image pair and its masks can be measured on, and show texture that outweighs rounding."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import BoolArray
 from ddic.case.named_files import list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError, Problems
@@ -119,7 +117,7 @@ def _hold_large_enough(path: Path) -> ImageSource:
     return source
 
 
-def _leaves_too_few(is_used: NDArray[np.bool_]) -> bool:
+def _leaves_too_few(is_used: BoolArray) -> bool:
     """Whether next to nothing is left of an image, or of the box about a mesh."""
     return int(np.count_nonzero(is_used)) < min(LEAST_LEFT, is_used.size / 2)
 
@@ -164,7 +162,7 @@ def _find_window(mesh: Mesh, reference: ImageSource) -> Window:
     return Window(int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1).clip(reference.width, reference.height)
 
 
-def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> NDArray[np.bool_]:
+def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
     """Pixels of a window that lie in the mesh and count."""
     images = case.images
     saturated_from = None
@@ -176,7 +174,7 @@ def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window)
     return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
 
 
-def _refuse_blank(reference: ImageSource, window: Window, usable: NDArray[np.bool_] | None) -> None:
+def _refuse_blank(reference: ImageSource, window: Window, usable: BoolArray | None) -> None:
     """Refuse a region of one grey level; read only as far as there is one, and a large region in bands of it."""
     level = None
     for rows in list_spread_bands(window):

@@ -1,12 +1,10 @@
 """Whether what refers to the mesh fits it: pixels, node sets, wavelength, partition, ranks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import IntArray
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case, SolverSection
 from ddic.errors import InputError, Problems
@@ -38,10 +36,10 @@ class CheckedMesh:
 
     mesh: Mesh
     tying: Tying | None
-    pixel_counts: NDArray[np.int64]
+    pixel_counts: IntArray
 
 
-def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> NDArray[np.int64]:
+def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> IntArray:
     """Check what refers to the mesh; ``problems`` takes what is found.
 
     The nodes that are not controlled, (n,), are returned.
@@ -126,7 +124,7 @@ def _check_number_of_subdomains(solver: SolverSection, mesh: Mesh) -> None:
                          f"mesh of only {mesh.n_cells} cells; ask for fewer")
 
 
-def _check_wavelength(wavelength: float | None, mesh: Mesh, edge: NDArray[np.int64]) -> None:
+def _check_wavelength(wavelength: float | None, mesh: Mesh, edge: IntArray) -> None:
     """Refuse one that the mesh does not carry, and a mesh without inner nodes, which says nothing of any."""
     if wavelength is None:
         return

@@ -1,11 +1,10 @@
 """Whether a near camera's reference image shows what its mapping says."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
@@ -49,7 +48,7 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
                          f"puts it (correlation coefficient {coefficient:.2f}); find the mapping with ddic calibrate")
 
 
-def _find_corners(near: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _find_corners(near: Camera) -> tuple[IntArray, IntArray]:
     """First and last column and row, far-field pixels, that a near image reaches by its mapping."""
     seen = near.setup.mapping.to_specimen(list_corners(near.reference.image))
     low = np.ceil(seen.min(axis=0)).astype(np.int64)
@@ -78,7 +77,7 @@ def _correlate_references(far: Camera, near: Camera, common: Window) -> float:
     return float(np.corrcoef(near_speckle, far_speckle)[0, 1])
 
 
-def _choose_probe(centre: NDArray[np.float64], magnification: float, common: Window) -> Window:
+def _choose_probe(centre: Array, magnification: float, common: Window) -> Window:
     """The part of a window that is compared: around the middle of the near image, far-field pixels."""
     half = max(int(LARGEST_PROBE / magnification / 2), LEAST_HALF_PROBE)
     x = int(np.clip(round(centre[0]), common.x0, common.x1 - 1))
@@ -86,7 +85,7 @@ def _choose_probe(centre: NDArray[np.float64], magnification: float, common: Win
     return Window(x - half, y - half, x + half, y + half).intersection(common)
 
 
-def _list_pixels(window: Window) -> NDArray[np.float64]:
+def _list_pixels(window: Window) -> Array:
     """Positions of all pixels of a window, row after row, (n, 2)."""
     x = np.arange(window.x0, window.x1)
     y = np.arange(window.y0, window.y1)
@@ -94,8 +93,7 @@ def _list_pixels(window: Window) -> NDArray[np.float64]:
     return np.asarray(np.stack([columns.ravel(), rows.ravel()], axis=1), dtype=np.float64)
 
 
-def _sample_blurred(image: ImageSource, points: NDArray[np.float64],
-                    magnification: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _sample_blurred(image: ImageSource, points: Array, magnification: float) -> tuple[NDArray[np.float32], BoolArray]:
     """An image averaged over far pixels, at the pixels nearest to some points, (n,), and whether each lies in it."""
     low = np.floor(points.min(axis=0)).astype(int) - 1
     high = np.ceil(points.max(axis=0)).astype(int) + 2
@@ -110,6 +108,6 @@ def _sample_blurred(image: ImageSource, points: NDArray[np.float64],
     return np.asarray(values[nearest[:, 1], nearest[:, 0]]), is_inside
 
 
-def _speckle(image: NDArray[np.float32]) -> NDArray[np.float64]:
+def _speckle(image: NDArray[np.float32]) -> Array:
     """An image without what is wider than speckle: light and holes are alike in wrong places too."""
     return np.asarray(image - cv2.blur(image, (COARSEST_SPECKLE, COARSEST_SPECKLE)), dtype=np.float64)

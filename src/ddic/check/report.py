@@ -1,13 +1,11 @@
 """What the inputs of a case are, found fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import IntArray
 from ddic.case.schema import Case
 from ddic.check.mesh import CheckedMesh, count_most_ranks
 from ddic.functionals.regularization import HalfAmplitudes
@@ -65,8 +63,7 @@ class CheckReport:
     most_ranks: int
 
 
-def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh,
-                    not_controlled: NDArray[np.int64]) -> CheckReport:
+def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh, not_controlled: IntArray) -> CheckReport:
     """Describe inputs that were found fit; ``not_controlled``, (n,), are nodes that are not controlled."""
     mesh = checked.mesh
     n_unknown_nodes = mesh.n_nodes if checked.tying is None else checked.tying.n_unknown_nodes

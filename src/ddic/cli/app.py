@@ -4,8 +4,6 @@ Of numbers, nan and infinity are none that an option takes. Words that a command
 ``--frame`` says which frame of a series a command takes.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ Also what threads of linear algebra do while nobody needs them, whether the addr
 and again and free none. What can fail before there is a command fails here, in one line.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import resource

@@ -1,7 +1,5 @@
 """What ``ddic plot`` draws: pictures of a result, curves of a series over time, and animations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

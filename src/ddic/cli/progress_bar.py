@@ -1,7 +1,5 @@
 """How much of a run is done, as far as can be told while it goes on: a bar on a terminal."""
 
-from __future__ import annotations
-
 import math
 import sys
 

@@ -3,13 +3,11 @@
 The strain of a continuous field stands out in a straight band, found by a Radon transform over cells [RHR08].
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.detection.refine_line import (
     CUT_OFF,
     REACH,
@@ -30,8 +28,6 @@ from ddic.mesh.plane import build_tree
 from ddic.mesh.quality import measure_cell_size
 from ddic.start.coarse_displacement import CutField, cut_level
 from ddic.start.independent import Images, correlate_alone
-
-Array = NDArray[np.float64]
 
 NEIGHBOURHOOD = 3.6
 """Radius, elements, of the cells with whose plane of least squares a cell's strain is compared. A larger one takes

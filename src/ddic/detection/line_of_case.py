@@ -1,13 +1,11 @@
 """The line that a case asks for, looked for in its images; and the lines and tips that it gives, refined."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.case.schema import Case, DiscontinuitySection
 from ddic.detection.find_line import find_line
 from ddic.detection.refine_line import SEARCHED, UncertainLine, find_move, refine_line
@@ -26,8 +24,6 @@ from ddic.problem.cut_region import cut_by_lines, list_discontinuities, list_tip
 from ddic.start.coarse_displacement import CutField
 from ddic.start.given_start import extrapolate
 from ddic.start.independent import Images
-
-Array = NDArray[np.float64]
 
 OFF, SETTLED = 0.5, 0.25
 """Pixels: a line that is no farther off is in its place, since pixels within 2 of it do not count anyway; and one that

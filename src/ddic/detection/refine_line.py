@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError
 from ddic.functionals.line_band import BAND
 from ddic.images.sub_image import MaskedSource
@@ -27,8 +27,6 @@ from ddic.mesh.raster import list_pixels, rasterize
 from ddic.solvers.correction_size import Tolerances
 from ddic.start.coarse_displacement import CutField, LevelMesh, cut_level
 from ddic.start.independent import Images, correlate_alone
-
-Array = NDArray[np.float64]
 
 FEWEST_FITTED = 100
 """Pixels below which grey levels are not corrected."""
@@ -77,8 +75,7 @@ def measure_heights(points: Array, line: Array) -> Array:
     return np.asarray(multiply_across(along, points - line[segments]) / np.linalg.norm(along, axis=1))
 
 
-def compute_residuals(images: Images, pixels: NDArray[np.int64], displacement: Array,
-                      own: NDArray[np.bool_] | None = None) -> Array:
+def compute_residuals(images: Images, pixels: IntArray, displacement: Array, own: BoolArray | None = None) -> Array:
     """Compute f(x) - a g(x + u) - b at pixels, with one gain and offset where the images' grey levels are corrected.
 
     ``pixels`` are columns and rows, (n, 2), the displacement is theirs, (n, 2), pixels. Gain and offset are found by
@@ -93,7 +90,7 @@ def compute_residuals(images: Images, pixels: NDArray[np.int64], displacement: A
     return np.asarray(f - gain * g - offset)
 
 
-def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: NDArray[np.int64],
+def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: IntArray,
                      displacement: Array) -> tuple[Array, Array]:
     """f(x) and g(x + u), nan where a pixel is left out."""
     if not len(pixels):
@@ -261,7 +258,7 @@ def refine_line(images: Images, mesh: Mesh, start: CutField, line: UncertainLine
     raise ConvergenceError(f"the line was still moving after {MOST_MOVES} rounds")
 
 
-def find_strip(mesh: Mesh, line: Array, reach: float) -> NDArray[np.int64]:
+def find_strip(mesh: Mesh, line: Array, reach: float) -> IntArray:
     """Find the cells whose centres lie within ``reach``, pixels, of a line: their sorted numbers, (n,)."""
     return np.flatnonzero(measure_distance(mesh.centroids, line) <= reach).astype(np.int64)
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.detection.refine_line import UncertainLine, compute_residuals
 from ddic.errors import ConvergenceError
 from ddic.fracture.crack_tip import evaluate_williams_series
@@ -24,8 +24,6 @@ from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.start.coarse_displacement import CutField
 from ddic.start.independent import Images
-
-Array = NDArray[np.float64]
 
 ORDERS = np.array([1, 3, 4, 5, 6, 7])
 """n of the terms r^(n/2) of the series, of which the first ones are the stress intensity factors. Those of a rigid
@@ -142,7 +140,7 @@ class _Disk:
     """
 
     images: Images
-    pixels: NDArray[np.int64]
+    pixels: IntArray
     local: Array
     gradient: Array
     axes: Array

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError, InputError
 from ddic.fracture.opening import get_line
 from ddic.functionals.grey_statistics import find_weighted_median
@@ -18,15 +19,13 @@ from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.quality import measure_areas
 
-Array = NDArray[np.float64]
-
 
 def find_kolosov_constant(poisson_ratio: float, plane: str) -> float:
     """Find Kolosov's constant kappa: (3 - nu) / (1 + nu) in plane "stress", 3 - 4 nu in plane "strain"."""
     return (3 - poisson_ratio) / (1 + poisson_ratio) if plane == "stress" else 3 - 4 * poisson_ratio
 
 
-def evaluate_williams_series(points: Array, orders: NDArray[np.int64], kappa: float) -> Array:
+def evaluate_williams_series(points: Array, orders: IntArray, kappa: float) -> Array:
     """Evaluate the terms r^(n/2) of both modes, in the frame of the crack.
 
     Points, (n, 2), pixels, are from the tip, x ahead of the crack; faces are at x < 0, where the sign of y tells them
@@ -191,7 +190,7 @@ class _Fit:
 
     points: Array
     displacement: Array
-    is_measured: NDArray[np.bool_]
+    is_measured: BoolArray
     weights: Array
     kappa: float
     size: float
@@ -208,7 +207,7 @@ class _Fit:
         return cls(mesh.centroids, displacement, is_measured, np.sqrt(areas), kappa, size)
 
     def solve(self, position: Array, along: Array, radii: tuple[float, float],
-              orders: NDArray[np.int64]) -> tuple[tuple[Array, Array], float, int]:
+              orders: IntArray) -> tuple[tuple[Array, Array], float, int]:
         """Coefficients of u of both modes, (n_orders,) each; what is left, pixels; and the number of cells."""
         axes = np.stack([along, [-along[1], along[0]]])
         local = (self.points - position) @ axes.T

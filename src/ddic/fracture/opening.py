@@ -3,20 +3,17 @@
 The discontinuities that a result was measured with.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, parse_case
 from ddic.mesh.interpolation import locate
-
-Array = NDArray[np.float64]
 
 
 def get_lines(result: Result) -> list[Array]:
@@ -78,7 +75,7 @@ class Opening:
     tangential: Array
     normal: Array
     excluded: NDArray[np.uint8]
-    doubtful: NDArray[np.bool_]
+    doubtful: BoolArray
 
 
 def measure_opening(result: Result, line: int = 1) -> Opening:
@@ -132,7 +129,7 @@ def measure_openings(result: Result) -> list[Opening]:
     return [measure_opening(result, number) for number in range(1, n_lines + 1)]
 
 
-def _look_up(result: Result, name: str, cells: NDArray[np.int64]) -> NDArray[np.uint8]:
+def _look_up(result: Result, name: str, cells: IntArray) -> NDArray[np.uint8]:
     """State of the cells of both sides, (2, n), by a cell field; of either where the other is as it should be, (n,)."""
     if name not in result.cell_data:
         return np.zeros(cells.shape[1], dtype=np.uint8)
@@ -141,7 +138,7 @@ def _look_up(result: Result, name: str, cells: NDArray[np.int64]) -> NDArray[np.
     return np.where((left == 0) | ((right > 0) & (right < left)), right, left)
 
 
-def _find_uncut_bends(result: Result, vertices: Array, at: Array, to_left: Array) -> NDArray[np.bool_]:
+def _find_uncut_bends(result: Result, vertices: Array, at: Array, to_left: Array) -> BoolArray:
     """Whether a place near a bend of the line has both its sides in parts of cells that hang together."""
     bends = vertices[1:-1]
     if not len(bends):

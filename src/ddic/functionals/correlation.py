@@ -21,6 +21,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.functionals import pixel_kernels as kernels
 from ddic.functionals.grey_statistics import GreySums
@@ -75,7 +76,7 @@ specimen deforms like that: a cell that turns over differs by two sizes. Larger 
 more of the image."""
 
 
-def find_torn_cells(mesh: Mesh, u: NDArray[np.float64]) -> NDArray[np.int64]:
+def find_torn_cells(mesh: Mesh, u: Array) -> IntArray:
     """Find the cells whose nodes are displaced so differently that their pixels can be nowhere in the image.
 
     Gives their sorted numbers. The mesh is in the image's pixels, as the nodal displacement ``u``, (n_nodes, dim).
@@ -88,8 +89,6 @@ def find_torn_cells(mesh: Mesh, u: NDArray[np.float64]) -> NDArray[np.int64]:
     difference = np.ptp(u[cells], axis=1).max(axis=1)
     return np.flatnonzero(difference > TORN_PIXELS + TORN_SIZES * size).astype(np.int64)
 
-
-Array = NDArray[np.float64]
 
 LARGE = 0.1
 """Norm of F - I from which on F^-T grad f is taken for the gradient. A larger value costs iterations, a smaller one
@@ -117,7 +116,7 @@ def compute_inverse_deformations(mesh: Mesh, u: Array) -> Array:
     return inverse
 
 
-def find_large_gradients(mesh: Mesh, u: Array) -> NDArray[np.bool_]:
+def find_large_gradients(mesh: Mesh, u: Array) -> BoolArray:
     """Tell which cells have turned or stretched by much, (n_cells,).
 
     Those whose norm of F - I is above ``LARGE``, and whose displacement is believed. The mesh is in the image's pixels,
@@ -167,7 +166,7 @@ def map_hessians(inverse: Array, hessians: Array) -> Array:
     return np.asarray(turned.reshape(n_cells, n, n))
 
 
-def _is_believed(deformation: Array) -> NDArray[np.bool_]:
+def _is_believed(deformation: Array) -> BoolArray:
     sizes = np.linalg.norm(deformation, axis=(1, 2))
     return np.asarray((np.linalg.det(deformation) >= LEAST_AREA) & (sizes <= LARGEST_STRETCH * np.sqrt(2)))
 
@@ -189,7 +188,7 @@ class Residual:
         Of every cell, (n_cells, 6).
     """
 
-    moments: NDArray[np.float64]
+    moments: Array
     cell_sums: GreySums
 
     @property
@@ -211,8 +210,8 @@ class _DisplacedPixels:
     pixels; g : the deformed image on a window that holds all displaced pixels.
     """
 
-    order: NDArray[np.int64]
-    u: NDArray[np.float64]
+    order: IntArray
+    u: Array
     g: kernels.DeformedPixels
 
 
@@ -228,7 +227,7 @@ class Band:
         Rows of the reference window that hold all their pixels.
     """
 
-    order: NDArray[np.int64]
+    order: IntArray
     window: Window
 
 
@@ -265,11 +264,11 @@ class Correlation:
     raster: Raster
     reference: GradientImage
     source: MaskedSource
-    order: NDArray[np.int64]
+    order: IntArray
     threads: Threads = ONE_THREAD
-    inverse_deformations: NDArray[np.float64] | None = None
+    inverse_deformations: Array | None = None
 
-    def with_moved_gradient(self, u: NDArray[np.float64]) -> Correlation:
+    def with_moved_gradient(self, u: Array) -> Correlation:
         """Take the gradient of the deformed image where a displacement puts it, in M and in b."""
         return replace(self, inverse_deformations=compute_inverse_deformations(self.mesh, u))
 
@@ -278,11 +277,11 @@ class Correlation:
         """The whole image's pixels."""
         return self.source.extent
 
-    def confine(self, cells: NDArray[np.bool_]) -> Correlation:
+    def confine(self, cells: BoolArray) -> Correlation:
         """Confine passes over the pixels to some cells, (n_cells,)."""
         return replace(self, order=self.order[cells[self.order]])
 
-    def count_pixels(self) -> NDArray[np.int64]:
+    def count_pixels(self) -> IntArray:
         """Count the pixels of each cell that the reference image does not exclude, (n_cells,)."""
         window, usable = self.reference.window, self.reference.usable
         return self.raster.pixel_counts if usable is None else self.raster.sum_by_cell(usable, window.x0, window.y0)
@@ -294,7 +293,7 @@ class Correlation:
             return int(self.raster.pixel_counts.sum())
         return self._count_pixels(self.reference.usable)
 
-    def count_visible_pixels(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> int:
+    def count_visible_pixels(self, deformed: DeformedSubImage, q: Array) -> int:
         """Count the pixels that a displacement shows in both images.
 
         Of ``n_usable_pixels``, they are those not mapped outside the deformed image or onto excluded pixels of it.
@@ -305,7 +304,7 @@ class Correlation:
             return self.n_usable_pixels
         return self.compute_residual(deformed, q).n_pixels
 
-    def without_hidden(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> Correlation:
+    def without_hidden(self, deformed: DeformedSubImage, q: Array) -> Correlation:
         """Leave out the pixels that a displacement maps outside the deformed image or onto excluded pixels of it.
 
         From M as well as from b: a displacement that no pixel sees is not held by any. Gives the same object where none
@@ -318,7 +317,7 @@ class Correlation:
             return self
         return replace(self, reference=self.reference.exclude(shown == 0))
 
-    def compute_cell_hessians(self) -> NDArray[np.float64]:
+    def compute_cell_hessians(self) -> Array:
         """Sum N^T grad f grad f^T N over the pixels of every cell, grad f moved where it is asked for.
 
         M_e is (n_cells, 8, 8), node-major, grey levels squared per pixel squared; Eq. 7 of [BP17].
@@ -335,7 +334,7 @@ class Correlation:
         hessians = hessians.reshape(n_cells, 8, 8)
         return hessians if self.inverse_deformations is None else map_hessians(self.inverse_deformations, hessians)
 
-    def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
+    def assemble_hessian(self, cells: IntArray | None = None) -> sparse.csr_matrix:
         """Assemble M = sum_px N^T grad f grad f^T N over the usable pixels of some cells, by default of all.
 
         M is (n_dofs, n_dofs), grey levels squared per pixel squared; Eq. 7 of [BP17].
@@ -345,8 +344,7 @@ class Correlation:
         of_cells = replace(self, order=cells).compute_cell_hessians()[cells]
         return self.interpolation.assemble_matrix(of_cells, cells)
 
-    def compute_residual(self, deformed: DeformedSubImage, q: NDArray[np.float64], *,
-                         all_kinds: bool = False) -> Residual:
+    def compute_residual(self, deformed: DeformedSubImage, q: Array, *, all_kinds: bool = False) -> Residual:
         """Sum the residual f - g(x + u), against grad f too, in one pass over the subdomain's pixels.
 
         With ``all_kinds``, what a grey-level correction needs is summed too.
@@ -365,17 +363,17 @@ class Correlation:
         self.threads.run_over(len(displaced.order), FEWEST, accumulate)
         return Residual(sums.moments, GreySums(sums.grey))
 
-    def assemble_right_hand_side(self, residual: Residual, gain: NDArray[np.float64] | float = 1.0,
-                                 offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+    def assemble_right_hand_side(self, residual: Residual, gain: Array | float = 1.0,
+                                 offset: Array | float = 0.0) -> Array:
         """Assemble b = sum_px N^T grad f (f - gain g(x + u) - offset), (n_dofs,), grey levels squared per pixel.
 
         Eq. 7 of [BP17]. The residual has all kinds of moments where gain is not 1 or offset not 0.
         """
         return self.interpolation.assemble_vector(self._correct_moments(residual, gain, offset))
 
-    def compute_cell_forces(self, cells: NDArray[np.int64], residual: Residual,
-                            gain: NDArray[np.float64] | float = 1.0,
-                            offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
+    def compute_cell_forces(self, cells: IntArray, residual: Residual,
+                            gain: Array | float = 1.0,
+                            offset: Array | float = 0.0) -> Array:
         """Sum N^T grad f (f - gain g(x + u) - offset) over the pixels of some cells, given by number.
 
         b_e is (n, 8), node-major, grey levels squared per pixel. The residual has all kinds of moments where gain is
@@ -383,8 +381,7 @@ class Correlation:
         """
         return self.interpolation.take_to_corners(cells, self._correct_moments(residual, gain, offset)[cells])
 
-    def _correct_moments(self, residual: Residual, gain: NDArray[np.float64] | float,
-                         offset: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def _correct_moments(self, residual: Residual, gain: Array | float, offset: Array | float) -> Array:
         """Moments of f - gain g(x + u) - offset against grad f, moved where it is asked for, (n_cells, 2, 4)."""
         moments = residual.moments
         if self.inverse_deformations is not None:
@@ -396,9 +393,9 @@ class Correlation:
         shift = np.broadcast_to(np.asarray(offset), len(moments))[:, None, None]
         return np.asarray(of_r - excess * of_g - shift * of_one)
 
-    def compute_residual_image(self, deformed: DeformedSubImage, q: NDArray[np.float64],
-                               gain: NDArray[np.float64] | float = 1.0,
-                               offset: NDArray[np.float64] | float = 0.0) -> NDArray[np.float32]:
+    def compute_residual_image(self, deformed: DeformedSubImage, q: Array,
+                               gain: Array | float = 1.0,
+                               offset: Array | float = 0.0) -> NDArray[np.float32]:
         """Compute the residual f - gain g(x + u) - offset of every pixel.
 
         On the reference window, (height, width), grey levels; NaN on pixels that do not count.
@@ -421,9 +418,9 @@ class Correlation:
                                                  window.x1, min(int(last[of_band].max()), window.y1)))
                 for of_band in members]
 
-    def compute_residual_bands(self, deformed: DeformedSubImage, q: NDArray[np.float64], bands: Iterable[Band],
-                               gain: NDArray[np.float64] | float = 1.0,
-                               offset: NDArray[np.float64] | float = 0.0) -> Iterator[NDArray[np.float32]]:
+    def compute_residual_bands(self, deformed: DeformedSubImage, q: Array, bands: Iterable[Band],
+                               gain: Array | float = 1.0,
+                               offset: Array | float = 0.0) -> Iterator[NDArray[np.float32]]:
         """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
 
         On the windows of the bands, which ``split_bands`` gives; NaN also on pixels that other bands have.
@@ -438,7 +435,7 @@ class Correlation:
             visited = replace(displaced, order=band.order[is_visited[band.order]])
             yield self._draw_residual(visited, band.window, gains, offsets)
 
-    def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
+    def find_displaced_window(self, q: Array) -> Window:
         """Find the window of the deformed image that holds all displaced pixels and their neighbours.
 
         But those of torn cells, which count as displaced out of the image. It may leave the image.
@@ -456,18 +453,18 @@ class Correlation:
         right, bottom = np.ceil(by_component.max(axis=1)).astype(int)
         return Window(int(left) - 1, int(top) - 1, int(right) + 2, int(bottom) + 2)
 
-    def _find_torn_cells(self, q: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _find_torn_cells(self, q: Array) -> IntArray:
         return find_torn_cells(self.mesh, q.reshape(self.mesh.nodes.shape))
 
-    def _displace_pixels(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> _DisplacedPixels:
+    def _displace_pixels(self, deformed: DeformedSubImage, q: Array) -> _DisplacedPixels:
         """Pixels of all cells that are not torn."""
         torn = self._find_torn_cells(q)
         order = self.order[~np.isin(self.order, torn)] if len(torn) else self.order
         g = deformed.get_spline(self.find_displaced_window(q))
         return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), convert_deformed(g, self.extent))
 
-    def _draw_residual(self, displaced: _DisplacedPixels, window: Window, gains: NDArray[np.float64],
-                       offsets: NDArray[np.float64]) -> NDArray[np.float32]:
+    def _draw_residual(self, displaced: _DisplacedPixels, window: Window, gains: Array,
+                       offsets: Array) -> NDArray[np.float32]:
         """Residual on a window that holds all pixels of the cells to visit."""
         reference = convert_reference(self.reference.restrict(window))
         image = np.full((window.height, window.width), np.nan, dtype=np.float32)
@@ -479,11 +476,11 @@ class Correlation:
         self.threads.run_over(len(displaced.order), FEWEST, write)
         return image
 
-    def _displaced_nodes(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _displaced_nodes(self, q: Array) -> Array:
         """Nodes x + u, (n_nodes, 2), pixels."""
         return np.asarray(self.mesh.nodes + q.reshape(self.mesh.nodes.shape))
 
-    def _shows_all(self, deformed: DeformedSubImage, q: NDArray[np.float64]) -> bool:
+    def _shows_all(self, deformed: DeformedSubImage, q: Array) -> bool:
         """Whether no pixel can be hidden, as far as can be told without looking at pixels."""
         if deformed.source.may_exclude:
             return False
@@ -497,7 +494,7 @@ class Correlation:
         window = self.reference.window
         return int(self.raster.sum_by_cell(usable, window.x0, window.y0).sum())
 
-    def _take_cells(self, order: NDArray[np.int64]) -> kernels.Cells:
+    def _take_cells(self, order: IntArray) -> kernels.Cells:
         """Cells as kernels take them, in the order of visiting."""
         raster = self.raster
         return kernels.Cells(order, self.interpolation.geometry, raster.first_row, raster.row_ptr,
@@ -546,7 +543,7 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
     return groups
 
 
-def restrict_to_cells(whole: Correlation, cells: NDArray[np.int64]) -> Correlation:
+def restrict_to_cells(whole: Correlation, cells: IntArray) -> Correlation:
     """Take some of a subdomain's cells alone, given by number, with the same window of the image."""
     mesh, _ = whole.mesh.create_submesh(cells)
     return _build_correlation(mesh, rasterize(mesh), whole.reference, whole.source, whole.threads)

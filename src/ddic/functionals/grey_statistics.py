@@ -3,13 +3,12 @@
 Medians and other quantiles of values that count more or less.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ddic.arrays import Array, BoolArray
 
 GreyCorrection = Literal["none", "global", "element"]
 """Whose gain a and offset b in f = a g + b are fitted: nobody's, each camera's, each cell's."""
@@ -22,7 +21,7 @@ _TINY = 1e-300
 """A mean square, grey levels squared, below any that is not 0."""
 
 
-def find_flat(variance: NDArray[np.float64], mean_square: NDArray[np.float64]) -> NDArray[np.bool_]:
+def find_flat(variance: Array, mean_square: Array) -> BoolArray:
     """Find where grey levels are all alike, (...,): what is left of their variance is rounding."""
     return np.asarray(variance <= FLAT * np.maximum(mean_square, _TINY))
 
@@ -37,14 +36,14 @@ class GreySums:
         Grey levels and their squares; the leading axes are cells, or nothing for a whole region.
     """
 
-    values: NDArray[np.float64]
+    values: Array
 
     @property
-    def n_pixels(self) -> NDArray[np.float64]:
+    def n_pixels(self) -> Array:
         """Number of pixels that count, (...,)."""
         return np.asarray(self.values[..., 0])
 
-    def fit_gain_and_offset(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def fit_gain_and_offset(self) -> tuple[Array, Array]:
         """Fit f = a g + b by least squares: a, no unit, and b, grey levels, (...,) each.
 
         a = 1 where the deformed image is flat, (1, 0) without pixels.
@@ -59,8 +58,7 @@ class GreySums:
         offset = np.where(self.n_pixels > 0, r / n - excess * g / n, 0.0)
         return 1.0 + excess, offset
 
-    def sum_residual(self, gain: NDArray[np.float64] | float = 1.0,
-                     offset: NDArray[np.float64] | float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def sum_residual(self, gain: Array | float = 1.0, offset: Array | float = 0.0) -> tuple[Array, Array]:
         """Sum the residual f - gain g - offset and its square over the pixels, (...,) each.
 
         ``gain`` has no unit, ``offset`` is in grey levels; each is one number or (...,).
@@ -74,7 +72,7 @@ class GreySums:
         return first, np.maximum(second, 0.0)
 
 
-def measure_deviation(n_pixels: float, first: NDArray[np.float64], second: NDArray[np.float64]) -> tuple[float, float]:
+def measure_deviation(n_pixels: float, first: Array, second: Array) -> tuple[float, float]:
     """Measure the standard deviation and the root mean square of grey levels from their sum and that of squares."""
     mean, mean_square = float(first) / n_pixels, float(second) / n_pixels
     # Rounding may leave a variance of nothing below zero.
@@ -107,7 +105,7 @@ FEW = 500
 """Values that are sorted as quickly as halved."""
 
 
-def find_weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+def find_weighted_quantile(values: Array, weights: Array, share: float) -> float:
     """Find the one of the values below which lies a share, from 0 to 1, of all weight.
 
     There is at least one value; weights are not negative, and not all of them 0.
@@ -128,6 +126,6 @@ def find_weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.floa
     return float(values[order[min(place, len(order) - 1)]])
 
 
-def find_weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def find_weighted_median(values: Array, weights: Array) -> float:
     """Find the value below which lies half of all weight."""
     return find_weighted_quantile(values, weights, 0.5)

@@ -3,13 +3,12 @@
 How firmly the pixels of cells hold their nodes beside a discontinuity: what M's diagonal is without texture.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.mesh.interpolation import evaluate_shapes_at
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import is_inside_polygon, measure_distance
@@ -20,7 +19,7 @@ BAND = {3: 2.0, 5: 3.0}
 larger one loses pixels, within a smaller one the other side is interpolated."""
 
 
-def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[IntArray, IntArray]:
     """Find the pixels of a mesh that lie within the band of a line, or between its bends and what cuts the cells.
 
     Gives their columns and rows, (n, 2), and the cell of each, (n,). ``degree`` is that of the spline, 3 or 5.
@@ -40,8 +39,7 @@ def find_band_pixels(mesh: Mesh, raster: Raster, degree: int) -> tuple[NDArray[n
     return pixels[inside], cells[inside]
 
 
-def list_pixels_outside(mesh: Mesh, cells: NDArray[np.int64],
-                        degree: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def list_pixels_outside(mesh: Mesh, cells: IntArray, degree: int) -> tuple[IntArray, IntArray]:
     """List the pixels of some cells, given by sorted numbers, that lie beyond the band of all lines.
 
     Gives their columns and rows, (n, 2), and the cell of each, (n,); nothing else of the mesh is rasterised. ``degree``
@@ -55,7 +53,7 @@ def list_pixels_outside(mesh: Mesh, cells: NDArray[np.int64],
     return pixels[outside], cells[own[outside]]
 
 
-def _find_near_cells(mesh: Mesh, lines: Sequence[NDArray[np.float64]], width: float) -> NDArray[np.int64]:
+def _find_near_cells(mesh: Mesh, lines: Sequence[Array], width: float) -> IntArray:
     """Cells that may have a pixel in the band."""
     outlines = mesh.outlines
     corners = outlines.corners[outlines.connectivity]
@@ -67,8 +65,7 @@ def _find_near_cells(mesh: Mesh, lines: Sequence[NDArray[np.float64]], width: fl
     return np.flatnonzero(near).astype(np.int64)
 
 
-def weigh_corners(mesh: Mesh, cells: NDArray[np.int64], degree: int,
-                  active: NDArray[np.uint8] | None = None) -> NDArray[np.float64]:
+def weigh_corners(mesh: Mesh, cells: IntArray, degree: int, active: NDArray[np.uint8] | None = None) -> Array:
     """Sum N_a^2 over the pixels of some cells that count, for each of their nodes.
 
     Sums, in pixels, stand for each node of each cell in the order of the connectivity, (len(mesh.connectivity),); 0 in

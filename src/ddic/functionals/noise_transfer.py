@@ -1,20 +1,16 @@
 """How much of the deformed image's noise reaches b: interpolation smooths it, as far as the texture lets it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.functionals.correlation import Correlation
 from ddic.functionals.view import View
 from ddic.images.noise import REACH, correlate_interpolation
 from ddic.images.window import Window
 from ddic.mesh.mesh import pad_cells
-
-Array = NDArray[np.float64]
 
 LARGEST_SAMPLE = 512
 """Side, pixels, of the part of a subdomain from which the texture's correlation is taken; a larger value takes time and
@@ -109,8 +105,7 @@ def build_white_transfer(degree: int) -> TransferTable:
     return build_transfer(white, degree)
 
 
-def find_cell_transfer(table: TransferTable, view: View, q: Array,
-                       cells: NDArray[np.int64] | slice = slice(None)) -> Array:
+def find_cell_transfer(table: TransferTable, view: View, q: Array, cells: IntArray | slice = slice(None)) -> Array:
     """Average the noise transfer over the shifts that a displacement gives the pixels of each cell.
 
     To b along x and along y, (n, 2), no unit, for cells given by number, by default all. ``q`` are the subdomain's

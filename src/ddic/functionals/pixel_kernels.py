@@ -19,14 +19,13 @@ The stages share this file because numba's cache of a kernel does not notice cha
 """
 # mypy: disable-error-code="no-untyped-def, assignment"
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.functionals.prefetch import prefetch
 from ddic.functionals.vector_moves import WIDTH, copy_some, copy_vector, count_vector, fill_vector
 
@@ -92,10 +91,10 @@ class Cells(NamedTuple):
         Half-open columns of each run, which may be empty.
     """
 
-    order: NDArray[np.int64]
-    geometry: NDArray[np.float64]
-    first_row: NDArray[np.int64]
-    row_ptr: NDArray[np.int64]
+    order: IntArray
+    geometry: Array
+    first_row: IntArray
+    row_ptr: IntArray
     starts: NDArray[np.int32]
     stops: NDArray[np.int32]
 
@@ -111,8 +110,8 @@ class Shapes(NamedTuple):
         Each cell's place in ``coefficients``.
     """
 
-    coefficients: NDArray[np.float64]
-    kinds: NDArray[np.int64]
+    coefficients: Array
+    kinds: IntArray
 
 
 class ReferencePixels(NamedTuple):
@@ -180,8 +179,8 @@ class CellSums(NamedTuple):
         Sums of (1, r, g, r^2, g^2, r g).
     """
 
-    moments: NDArray[np.float64]
-    grey: NDArray[np.float64]
+    moments: Array
+    grey: Array
 
 
 class Scratch(NamedTuple):
@@ -202,10 +201,10 @@ class Scratch(NamedTuple):
         Segments, at _SEGMENT_X to _SEGMENT_LANE, and runs, at _RUN_AT to _RUN_END.
     """
 
-    lanes: NDArray[np.float64]
+    lanes: Array
     pixels: NDArray[np.float32]
     offsets: NDArray[np.int32]
-    bounds: NDArray[np.int64]
+    bounds: IntArray
 
 
 class Place(NamedTuple):

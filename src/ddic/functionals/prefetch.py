@@ -1,7 +1,5 @@
 """Ask the processor for a cache line before it is needed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]

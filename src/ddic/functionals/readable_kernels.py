@@ -7,8 +7,6 @@ Of every pixel x of a cell: its local coordinates (xi, eta), the monomials phi =
 shape functions are N_a = sum_m T_am phi_m and the displacement is u = sum_m D_m phi_m, and g(x + u) by the spline.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.functionals.pixel_kernels import Cells, CellSums, DeformedPixels, ReferencePixels, Shapes
 
 NEWTON_STEPS = 30
@@ -46,13 +45,13 @@ class Pixel:
 
     x: int
     y: int
-    phi: NDArray[np.float64]
+    phi: Array
     f: float
-    slope: NDArray[np.float64]
+    slope: Array
     counts: bool
 
 
-def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out: NDArray[np.float64]) -> None:
+def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out: Array) -> None:
     """Add M_e = sum_px N^T grad f grad f^T N of every cell, Eq. 7 of [BP17].
 
     ``out`` is (n_cells, 4, 2, 4, 2) by a, component, b, component; grey levels squared per pixel squared.
@@ -67,7 +66,7 @@ def hessian_cells(cells: Cells, shapes: Shapes, reference: ReferencePixels, out:
                 out[e] += np.multiply.outer(row, row)
 
 
-def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
+def residual_sums(cells: Cells, displacement: Array, reference: ReferencePixels,
                   deformed: DeformedPixels, all_kinds: bool, sums: CellSums) -> None:
     """Add every cell's moments sum_px r grad f phi of the residual r = f - g(x + u), and its grey sums.
 
@@ -87,8 +86,8 @@ def residual_sums(cells: Cells, displacement: NDArray[np.float64], reference: Re
                 sums.moments[e, kind] += value * np.outer(pixel.slope, pixel.phi)
 
 
-def fill_residual_pixels(cells: Cells, displacement: NDArray[np.float64], reference: ReferencePixels,
-                         deformed: DeformedPixels, gain: NDArray[np.float64], offset: NDArray[np.float64],
+def fill_residual_pixels(cells: Cells, displacement: Array, reference: ReferencePixels,
+                         deformed: DeformedPixels, gain: Array, offset: Array,
                          out: NDArray[np.float32]) -> None:
     """Write f - gain g(x + u) - offset of all cells' pixels.
 
@@ -117,12 +116,12 @@ def list_pixels(cells: Cells, reference: ReferencePixels, e: int) -> Iterator[Pi
         y += 1
 
 
-def monomials(xi: float, eta: float) -> NDArray[np.float64]:
+def monomials(xi: float, eta: float) -> Array:
     """Evaluate phi = (1, xi, eta, xi eta)."""
     return np.array([1.0, xi, eta, xi * eta])
 
 
-def find_local_coordinates(geometry: NDArray[np.float64], x: float, y: float) -> tuple[float, float]:
+def find_local_coordinates(geometry: Array, x: float, y: float) -> tuple[float, float]:
     """Solve (x, y) = sum_m X_m phi_m(xi, eta) by Newton's method for xi and eta, no unit.
 
     ``geometry`` holds X, the coefficients of the position on the monomials, (2, 4), pixels.
@@ -140,7 +139,7 @@ def find_local_coordinates(geometry: NDArray[np.float64], x: float, y: float) ->
     return float(local[0]), float(local[1])
 
 
-def evaluate_deformed(deformed: DeformedPixels, pixel: Pixel, displacement: NDArray[np.float64]) -> float | None:
+def evaluate_deformed(deformed: DeformedPixels, pixel: Pixel, displacement: Array) -> float | None:
     """Evaluate g(x + u(x)) at a pixel; ``displacement`` holds D of its cell, (2, 4), pixels.
 
     None where the pixel does not count: f excludes it, x + u lies outside the image, or g excludes one of the four

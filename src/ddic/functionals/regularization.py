@@ -5,15 +5,13 @@ Linear elastic stiffness K with Young's modulus 1, unit thickness, lengths in pi
 What a cut-off wavelength means: which waves keep half of their amplitude.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray
 from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.cell_interpolation import interpolate_cells, number_cell_dofs
 from ddic.kinematics.kinematics import Kinematics
@@ -50,7 +48,7 @@ class Material:
         return lame, 1.0 / (2.0 * (1.0 + nu))
 
 
-def integrate_cell_stiffness(mesh: Mesh, material: Material) -> NDArray[np.float64]:
+def integrate_cell_stiffness(mesh: Mesh, material: Material) -> Array:
     """Integrate K_e = int lambda div u div v + 2 mu eps(u) : eps(v) over every cell, or its part.
 
     K_e is between displacement components, (n_cells, 4 dim, 4 dim), node-major; zero for nodes that a cell does not
@@ -73,7 +71,7 @@ def integrate_cell_stiffness(mesh: Mesh, material: Material) -> NDArray[np.float
     return cells
 
 
-def _integrate_parts(mesh: Mesh, parts: CellParts, material: Material) -> NDArray[np.float64]:
+def _integrate_parts(mesh: Mesh, parts: CellParts, material: Material) -> Array:
     """K_e of the cells that are parts, over their outlines: (n_parts, 4 dim, 4 dim)."""
     points, weights, numbers = place_quadrature_points(parts)
     gradients = differentiate_shapes_at(mesh, parts.cells[numbers], points)
@@ -86,7 +84,7 @@ def _integrate_parts(mesh: Mesh, parts: CellParts, material: Material) -> NDArra
     return of_parts.reshape(len(parts.cells), k * dim, k * dim)
 
 
-def _weigh_products(products: NDArray[np.float64], material: Material) -> NDArray[np.float64]:
+def _weigh_products(products: Array, material: Material) -> Array:
     """K_e from the integrals of dN_a/dx_i dN_b/dx_j, both (n_cells, a, i, b, j)."""
     lame, shear = material.lame
     # 2 mu eps(u) : eps(v) = mu (grad u : grad v + grad u : grad v^T)
@@ -97,7 +95,7 @@ def _weigh_products(products: NDArray[np.float64], material: Material) -> NDArra
     return stiffness
 
 
-def _weigh_all_products(n_nodes: int, dim: int, material: Material) -> NDArray[np.float64]:
+def _weigh_all_products(n_nodes: int, dim: int, material: Material) -> Array:
     """What each integral of dN_a/dx_i dN_b/dx_j adds to K_e: a matrix, which many cells are multiplied by at once."""
     n_products = (n_nodes * dim) ** 2
     one_by_one = np.eye(n_products).reshape(n_products, n_nodes, dim, n_nodes, dim)
@@ -112,7 +110,7 @@ def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:
     return interpolate_cells(mesh).assemble_matrix(integrate_cell_stiffness(mesh, material))
 
 
-def _integrate_products(gradients: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _integrate_products(gradients: Array, weights: Array) -> Array:
     """Integrals of dN_a/dx_i dN_b/dx_j, (n_cells, a, i, b, j), from gradients and weights at points of the cells."""
     n_cells, n_points, k, dim = gradients.shape
     rows = gradients.reshape(n_cells, n_points, k * dim)
@@ -127,8 +125,8 @@ _GAP_CHUNK_CELLS = 16_000
 """Cells whose stiffness is held at once; a larger value takes more memory, a smaller one time."""
 
 
-def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: NDArray[np.float64],
-                         rotation: NDArray[np.float64] | None = None) -> sparse.csr_matrix:
+def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: Array,
+                         rotation: Array | None = None) -> sparse.csr_matrix:
     """Assemble diag(row_weights) T^T K T: Kbar = P K of Eq. 9 of [BP17], where P is among the weights.
 
     K acts on the nodes; T^T K T, (n_unknowns, n_unknowns), are the forces on the unknowns: those on tied nodes are then
@@ -143,7 +141,7 @@ def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights
     return scale_rows(stiffness, row_weights)
 
 
-def evaluate_plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
+def evaluate_plane_waves(nodes: Array, wavelength: float) -> Array:
     """Evaluate the waves v = e_a cos(2 pi x_b / l_c + phi) for all axes a, b and phi in {0, pi/2}.
 
     One wave a column, (n dim, 2 dim^2), node-major; the phase varies fastest, then b. Nodes, (n, dim), and the
@@ -160,8 +158,7 @@ def evaluate_plane_waves(nodes: NDArray[np.float64], wavelength: float) -> NDArr
     return np.stack(waves, axis=1)
 
 
-def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray[np.bool_],
-                 wavelength: float) -> NDArray[np.float64]:
+def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: BoolArray, wavelength: float) -> Array:
     """Measure |K v|^2 of every plane wave on the interior nodes' rows, K never assembled.
 
     Square pixels, one for each column of ``evaluate_plane_waves``; the mesh is the whole region's, the wavelength l_c
@@ -178,8 +175,8 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: NDArray
     return np.asarray((forces[rows] ** 2).sum(axis=0))
 
 
-def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_matrix,
-                     interior_nodes: NDArray[np.bool_], wavelength: float) -> NDArray[np.float64]:
+def measure_texture_energies(nodes: Array, hessian: sparse.csr_matrix,
+                     interior_nodes: BoolArray, wavelength: float) -> Array:
     """Measure v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains.
 
     Grey levels squared, one for each column of ``evaluate_plane_waves``. M, a subdomain's, is between the displacements
@@ -190,7 +187,7 @@ def measure_texture_energies(nodes: NDArray[np.float64], hessian: sparse.csr_mat
     return np.asarray((waves * (hessian @ waves))[rows].sum(axis=0))
 
 
-def find_cut_off_weight(texture: NDArray[np.float64], gap: NDArray[np.float64]) -> float:
+def find_cut_off_weight(texture: Array, gap: Array) -> float:
     """Choose the weight eta at which texture and mechanics count alike at l_c: mean of |v^T M v| / |K v|^2 [LPHR11].
 
     The two phases of a wave are added up before the ratio, for one may vanish on all nodes; the mean is over a and b.
@@ -215,7 +212,7 @@ def find_edge_weight(eta: float, probe: tuple[float, float], edge_wavelength: fl
     return min(1.0, float(np.sqrt(eta_of_edges / eta)))
 
 
-def _wave_forces(mesh: Mesh, material: Material, waves: NDArray[np.float64]) -> NDArray[np.float64]:
+def _wave_forces(mesh: Mesh, material: Material, waves: Array) -> Array:
     """K v, (n_dofs, n_waves), of displacements v, the columns of waves."""
     cell_dofs = number_cell_dofs(mesh)
     by_cell = integrate_cell_stiffness(mesh, material) @ waves[cell_dofs]

@@ -6,8 +6,6 @@ is that of more than a limit, something else is seen there: dirt, a reflection, 
 Boxes of pixels about cells, cut out of both images.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -15,11 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Band, Correlation
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
-
-Array = NDArray[np.float64]
 
 ABOUT = 5
 """Side, pixels, of the square about a pixel over which the residual is averaged: single pixels of what hides the
@@ -59,13 +56,13 @@ class CellPatch:
         |grad f|^2, (grey levels / px)^2.
     """
 
-    counts: NDArray[np.bool_]
+    counts: BoolArray
     f: Array
     g: Array
     energy: Array
 
 
-def find_spoilt_pixels(patch: CellPatch, noise: float, limit: float, *, own_brightness: bool) -> NDArray[np.bool_]:
+def find_spoilt_pixels(patch: CellPatch, noise: float, limit: float, *, own_brightness: bool) -> BoolArray:
     """Find the spoilt pixels of a cell, and those close to them; none beside the cell.
 
     True there, (height, width). ``noise`` is the variance of the residual where nothing is spoilt, grey levels squared,
@@ -109,7 +106,7 @@ def _fit_brightness(patch: CellPatch) -> tuple[float, float] | None:
     return gain, offset
 
 
-def cut_patches(view: FrameView, q: NDArray[np.float64], cells: NDArray[np.int64],
+def cut_patches(view: FrameView, q: Array, cells: IntArray,
                 correction: tuple[float, float]) -> Iterator[tuple[int, Window, CellPatch]]:
     """Cut out the boxes about the pixels of some cells; the residual of no other pixel is computed.
 
@@ -124,7 +121,7 @@ def cut_patches(view: FrameView, q: NDArray[np.float64], cells: NDArray[np.int64
         yield cell, box, _cut_patch(correlation, (box, own), residual, correction)
 
 
-def _cut_patch(correlation: Correlation, place: tuple[Window, NDArray[np.bool_]], residual: NDArray[np.float32],
+def _cut_patch(correlation: Correlation, place: tuple[Window, BoolArray], residual: NDArray[np.float32],
                correction: tuple[float, float]) -> CellPatch:
     """What is in a box, of which some pixels are the cell's; residual: f - g there, NaN on what does not count."""
     box, own = place
@@ -136,7 +133,7 @@ def _cut_patch(correlation: Correlation, place: tuple[Window, NDArray[np.bool_]]
     return CellPatch(counts, f, g, image.by_x.astype(np.float64)**2 + image.by_y.astype(np.float64)**2)
 
 
-def _find_own_pixels(correlation: Correlation, cell: int) -> tuple[Window, NDArray[np.bool_]]:
+def _find_own_pixels(correlation: Correlation, cell: int) -> tuple[Window, BoolArray]:
     """The box about a cell's pixels, and which of those in the box are the cell's."""
     raster = correlation.raster
     runs = slice(raster.row_ptr[cell], raster.row_ptr[cell + 1])

@@ -3,8 +3,6 @@
 How rough a field is: the forces that it leaves out of equilibrium.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Correlation
 from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.images.spline import GradientImage
@@ -99,7 +98,7 @@ def estimate_noise_variance(correlation: Correlation) -> float:
     return total / n_pixels if n_pixels else 0.0
 
 
-def _squared_details(f: GradientImage, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+def _squared_details(f: GradientImage, rows: IntArray) -> Array:
     """Squares of the finest detail on some rows of an image, without its outermost columns."""
     # (1, -2, 1) / sqrt(6) along both axes is blind to curvature along one, and keeps the variance of white noise.
     across = f.values[rows - 1] - 2.0 * f.values[rows] + f.values[rows + 1]
@@ -107,20 +106,20 @@ def _squared_details(f: GradientImage, rows: NDArray[np.int64]) -> NDArray[np.fl
     return np.asarray(detail.astype(np.float64) ** 2)
 
 
-def _with_usable_neighbours(usable: NDArray[np.uint8], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _with_usable_neighbours(usable: NDArray[np.uint8], rows: IntArray) -> BoolArray:
     """Which pixels of some rows, without the outermost columns, are excluded neither themselves nor beside one."""
     column = (usable[rows - 1] & usable[rows] & usable[rows + 1]) > 0
     return np.asarray(column[:, :-2] & column[:, 1:-1] & column[:, 2:])
 
 
-def _sum_runs(values: NDArray[Any], row: NDArray[np.int64], start: NDArray[np.int64], stop: NDArray[np.int64]) -> float:
+def _sum_runs(values: NDArray[Any], row: IntArray, start: IntArray, stop: IntArray) -> float:
     """Sum of values (height, width) over runs of columns start to stop - 1."""
     up_to = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=1, out=up_to[:, 1:])
     return float((up_to[row, stop] - up_to[row, start]).sum())
 
 
-def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+def rigid_modes(nodes: Array) -> Array:
     """Build translations, then infinitesimal rotations about the centre.
 
     A mode a column, (n dim, dim (dim + 1) / 2), node-major; rotations, as the nodes' positions, in pixels.
@@ -137,7 +136,7 @@ def rigid_modes(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([mode.ravel() for mode in modes], axis=1)
 
 
-def find_blank_subdomains(textures: Sequence[Texture]) -> NDArray[np.bool_]:
+def find_blank_subdomains(textures: Sequence[Texture]) -> BoolArray:
     """Find the subdomains, or pieces of them, that hold no usable texture.
 
     True where there is nothing, or where there is no more than noise and little beside what others have: all of the
@@ -154,7 +153,7 @@ def find_blank_subdomains(textures: Sequence[Texture]) -> NDArray[np.bool_]:
     return np.asarray(empty | noisy & weak)
 
 
-def measure_gap(mesh: Mesh, displacement: NDArray[np.float64], material: Material) -> float:
+def measure_gap(mesh: Mesh, displacement: Array, material: Material) -> float:
     """Measure the RMS of div s over Young's modulus: K u at interior nodes, each over its share of the area.
 
     1/px, alike for elements of any size; nan where no node counts. The displacement is (n_nodes, dim), pixels; nodes

@@ -5,8 +5,6 @@ instructions: the function below a docstring takes types, ``generate`` writes th
 Arrays are float32 and contiguous, and the caller minds their ends.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Band, Correlation, Residual
 from ddic.images.spline import GradientImage
 from ddic.images.sub_image import DeformedSubImage
@@ -36,20 +37,20 @@ class CellSlopes:
         (Grey levels / px)^2; 0 without pixels.
     """
 
-    mean: NDArray[np.float64]
+    mean: Array
 
     @cached_property
-    def inverse(self) -> NDArray[np.float64]:
+    def inverse(self) -> Array:
         """Pseudo-inverse of each mean, (n_cells, 2, 2): a translation along lines of equal grey is not seen."""
         return np.asarray(np.linalg.pinv(self.mean, rcond=FLAT, hermitian=True))
 
     @cached_property
-    def texture(self) -> NDArray[np.float64]:
+    def texture(self) -> Array:
         """Mean of |grad f|^2, (n_cells,)."""
         return np.asarray(np.trace(self.mean, axis1=1, axis2=2))
 
 
-def measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: NDArray[np.int64]) -> CellSlopes:
+def measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: IntArray) -> CellSlopes:
     """Measure the mean of grad f grad f^T over the pixels of each cell that count.
 
     ``reference`` is on a window that holds them; ``n_pixels``, (n_cells,), says how many count.
@@ -84,7 +85,7 @@ def _add_up_slopes(by_x, by_y, usable, x0, y0, first_row, row_ptr, starts, stops
         sums[e, 0], sums[e, 1], sums[e, 2] = xx, xy, yy
 
 
-Correction = NDArray[np.float64] | float
+Correction = Array | float
 """Gain or offset of the grey levels: one number, or one per cell (n_cells,)."""
 
 
@@ -117,7 +118,7 @@ class View:
         """Number of pixels that the reference image does not exclude."""
         return self.correlation.n_usable_pixels
 
-    def count_pixels(self) -> NDArray[np.int64]:
+    def count_pixels(self) -> IntArray:
         """Count the pixels of each cell that the reference image does not exclude, (n_cells,)."""
         return self.correlation.count_pixels()
 
@@ -130,7 +131,7 @@ class View:
         values = self.correlation.reference.values
         return float(values.min()), float(values.max())
 
-    def assemble_hessian(self, cells: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
+    def assemble_hessian(self, cells: IntArray | None = None) -> sparse.csr_matrix:
         """Assemble M of this camera on displacements of nodes in its image, Eq. 7 of [BP17].
 
         Over the pixels of some cells, given by number, by default of all; grey levels squared per pixel squared.
@@ -142,11 +143,11 @@ class View:
         projected = self.kinematics.project_matrix(hessian)
         return projected if self.weight == 1.0 else (self.weight * projected).tocsr()
 
-    def with_moved_gradient(self, q: NDArray[np.float64]) -> Self:
+    def with_moved_gradient(self, q: Array) -> Self:
         """Take the gradient of the deformed image where unknowns put it, in M and in b."""
         return replace(self, correlation=self.correlation.with_moved_gradient(self.kinematics.displacement(q)))
 
-    def confine(self, cells: NDArray[np.bool_]) -> Self:
+    def confine(self, cells: BoolArray) -> Self:
         """Confine passes over the pixels to some cells, (n_cells,)."""
         return replace(self, correlation=self.correlation.confine(cells))
 
@@ -178,19 +179,18 @@ class FrameView(View):
     deformed: DeformedSubImage = field(kw_only=True)
     prepared: Correlation = field(kw_only=True)
 
-    def find_displaced_window(self, q: NDArray[np.float64]) -> Window:
+    def find_displaced_window(self, q: Array) -> Window:
         """Find the window of the deformed image that unknowns need."""
         return self.correlation.find_displaced_window(self.kinematics.displacement(q))
 
-    def compute_residual(self, q: NDArray[np.float64], *, all_kinds: bool = False) -> Residual:
+    def compute_residual(self, q: Array, *, all_kinds: bool = False) -> Residual:
         """Pass over all pixels once, for moments and sums of f - g(x + u).
 
         With ``all_kinds``, what a correction of grey levels needs is summed too.
         """
         return self.correlation.compute_residual(self.deformed, self.kinematics.displacement(q), all_kinds=all_kinds)
 
-    def assemble_right_hand_side(self, residual: Residual, gain: Correction = 1.0,
-                                 offset: Correction = 0.0) -> NDArray[np.float64]:
+    def assemble_right_hand_side(self, residual: Residual, gain: Correction = 1.0, offset: Correction = 0.0) -> Array:
         """Assemble b of this camera in the subdomain's unknowns, w T^T b, Eq. 7 of [BP17].
 
         The camera's part of b_s, (n_unknowns,), grey levels squared per pixel, from the residual of
@@ -200,15 +200,14 @@ class FrameView(View):
         projected = self.kinematics.project_vector(b)
         return projected if self.weight == 1.0 else self.weight * projected
 
-    def compute_residual_image(self, q: NDArray[np.float64], gain: Correction = 1.0,
-                               offset: Correction = 0.0) -> NDArray[np.float32]:
+    def compute_residual_image(self, q: Array, gain: Correction = 1.0, offset: Correction = 0.0) -> NDArray[np.float32]:
         """Compute the residual f - gain g(x + u) - offset pixel by pixel.
 
         On the reference window, (height, width), grey levels; nan on pixels that do not count.
         """
         return self.correlation.compute_residual_image(self.deformed, self.kinematics.displacement(q), gain, offset)
 
-    def compute_residual_bands(self, q: NDArray[np.float64], bands: Iterable[Band], gain: Correction = 1.0,
+    def compute_residual_bands(self, q: Array, bands: Iterable[Band], gain: Correction = 1.0,
                                offset: Correction = 0.0) -> Iterator[NDArray[np.float32]]:
         """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
 
@@ -218,7 +217,7 @@ class FrameView(View):
         displacement = self.kinematics.displacement(q)
         return self.correlation.compute_residual_bands(self.deformed, displacement, bands, gain, offset)
 
-    def without_hidden(self, q: NDArray[np.float64]) -> Self:
+    def without_hidden(self, q: Array) -> Self:
         """Leave out the pixels that unknowns hide: outside the deformed image, or on excluded pixels of it."""
         correlation = self.correlation.without_hidden(self.deformed, self.kinematics.displacement(q))
         return replace(self, correlation=correlation)

@@ -3,8 +3,6 @@
 An image as sharp, or as little sharp, as another: what a camera sees that moves, or is out of focus.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.images.source import fill_excluded
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
@@ -144,8 +143,6 @@ def _means(pixels: NDArray[Any], factor: int) -> NDArray[np.float32]:
                                 interpolation=cv2.INTER_AREA)
     return means
 
-
-Array = NDArray[np.float64]
 
 BLUR_NOTE = "the frame is less sharp than the reference image"
 """How a note begins that tells of a reference image blurred like its frame."""

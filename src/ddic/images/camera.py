@@ -1,13 +1,10 @@
 """Camera mappings: where a camera sees a point of the specimen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ddic.arrays import Array, BoolArray
 
 _MAX_ITERATIONS = 50
 _ROUNDING = 8 * float(np.finfo(np.float64).eps)
@@ -128,7 +125,7 @@ class CameraMapping:
         """Derivative of r (1 + k1 r^2 + k2 r^4)."""
         return np.asarray(1 + square * (3 * self.radial[0] + 5 * square * self.radial[1]))
 
-    def _unfolded(self, r: Array) -> NDArray[np.bool_]:
+    def _unfolded(self, r: Array) -> BoolArray:
         """Whether the distorted radius grows all the way from 0 to r >= 0."""
         k1, k2 = self.radial
         square = r**2

@@ -1,7 +1,5 @@
 """What the grey levels of a whole image are like, read a band of rows at a time; how large a pattern's features are."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
@@ -108,7 +107,7 @@ def find_saturation(source: ImageSource) -> float | None:
     return levels.find_saturation(source.saturation)
 
 
-def check_finite(source: ImageSource, mask: NDArray[np.bool_] | None = None) -> None:
+def check_finite(source: ImageSource, mask: BoolArray | None = None) -> None:
     """Check that a float image holds no nan or infinity but where its mask leaves it out.
 
     The mask is True where pixels are used; without one, all are. Raises InputError where there are such pixels, with
@@ -234,7 +233,7 @@ def _bands(source: ImageSource) -> Iterator[Window]:
         yield Window(0, y, source.width, min(y + n_rows, source.height))
 
 
-def _squared_gradient(band: NDArray[np.float64]) -> NDArray[np.float64]:
+def _squared_gradient(band: Array) -> Array:
     """|grad f|^2 of a band's inner pixels, of those where it is finite."""
     by_x = 0.5 * (band[1:-1, 2:] - band[1:-1, :-2])
     by_y = 0.5 * (band[2:, 1:-1] - band[:-2, 1:-1])
@@ -249,7 +248,7 @@ HALF = 0.5
 """Correlation at the edge of a feature: the guides' width at half of the maximum."""
 
 
-def measure_feature_size(source: ImageSource, places: NDArray[np.float64]) -> float:
+def measure_feature_size(source: ImageSource, places: Array) -> float:
     """Measure the size of a pattern's features: the width of the autocorrelation at half of its maximum, pixels.
 
     It is the median over both axes of windows of 128 x 128 px about the places, (n, 2), pixels: some on the specimen,
@@ -281,7 +280,7 @@ def _place_window(source: ImageSource, x: float, y: float) -> Window:
     return Window(x0, y0, x1, y1)
 
 
-def _find_half(line: NDArray[np.float64]) -> float:
+def _find_half(line: Array) -> float:
     """Where a correlation falls below a half first, between pixels; nan where it does not in a quarter of it."""
     below = np.flatnonzero(line[:len(line) // 4 + 1] < HALF)
     if not below.size:

@@ -3,19 +3,15 @@
 What interpolation by a spline leaves of the noise of pixels, and how it makes neighbours' noise go together.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from math import comb, factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.images.source import ImageSource
 from ddic.images.spline import HALO, compute_coefficients
 from ddic.images.window import Window
-
-Array = NDArray[np.float64]
 
 BLOCK = 32
 """Side, pixels, of the blocks of which each has its own light and motion; a larger value lets more of a drift through,

@@ -5,11 +5,11 @@ row are one vector; rows are turned into columns a few at a time.
 """
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from ddic.arrays import Array
 
 FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
 
@@ -33,23 +33,23 @@ TERMS = {3: 30, 5: 47}
 """Terms of the first value's series, after which the poles' powers are below 1e-17."""
 
 
-def prefilter(block: NDArray[np.float64], degree: int) -> None:
+def prefilter(block: Array, degree: int) -> None:
     """Turn pixels into B-spline coefficients of degree 3 or 5 along both axes, in place."""
     prefilter_rows(block, degree)
     prefilter_columns(block, degree)
 
 
-def prefilter_columns(block: NDArray[np.float64], degree: int) -> None:
+def prefilter_columns(block: Array, degree: int) -> None:
     """Turn pixels into coefficients along columns, in place."""
     _filter_columns(block, POLES[degree], TERMS[degree])
 
 
-def prefilter_rows(block: NDArray[np.float64], degree: int) -> None:
+def prefilter_rows(block: Array, degree: int) -> None:
     """Turn pixels into coefficients along rows, in place."""
     _filter_rows(block, POLES[degree], TERMS[degree], np.empty((block.shape[1], TURNED)))
 
 
-def write_row_slopes(block: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+def write_row_slopes(block: Array, first: int, degree: int, out: NDArray[np.float32]) -> None:
     """Write the spline's slopes along x at pixel centres, from column ``first`` on, grey levels per pixel.
 
     Only rows are filtered for that: along columns, values at pixel centres would undo it. The block of grey levels is
@@ -59,7 +59,7 @@ def write_row_slopes(block: NDArray[np.float64], first: int, degree: int, out: N
                 np.empty((block.shape[1], TURNED)))
 
 
-def write_column_slopes(coefficients: NDArray[np.float64], first: int, degree: int, out: NDArray[np.float32]) -> None:
+def write_column_slopes(coefficients: Array, first: int, degree: int, out: NDArray[np.float32]) -> None:
     """Write the spline's slopes along y at pixel centres, from row ``first`` on, grey levels per pixel.
 
     The coefficients are prefiltered along columns only.

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
+from ddic.arrays import Array, BoolArray
+
 LEAST_OVERLAP = 0.5
 """Share of the region's pixels that a candidate translation must keep inside the deformed image. A larger one misses
 large translations, a smaller one takes chance likeness of few pixels for one."""
@@ -50,7 +52,7 @@ class RigidShift:
         return replace(self, shift=(factor * x, factor * y))
 
 
-def find_rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDArray[np.bool_]) -> RigidShift:
+def find_rigid_shift(f: Array, g: Array, region: BoolArray) -> RigidShift:
     """Find the translation of a region of f in g, reference and deformed image, to sub-pixel accuracy.
 
     It has the largest correlation coefficient. The region is True on the pixels of f that count.
@@ -62,15 +64,14 @@ def find_rigid_shift(f: NDArray[np.float64], g: NDArray[np.float64], region: NDA
     return _find_peak(_correlate_coefficients(f, g, weight))
 
 
-def _correlate_coefficients(f: NDArray[np.float64], g: NDArray[np.float64],
-                            weight: NDArray[np.float64]) -> NDArray[np.float64]:
+def _correlate_coefficients(f: Array, g: Array, weight: Array) -> Array:
     """Correlation coefficients of the region, where ``weight`` is 1 and f not 0, for all shifts; -1 where none is."""
     # Twice the size, or what leaves the image on one side would enter it on the other.
     shape = tuple(fft.next_fast_len(2 * n, real=True) for n in f.shape)
     spectrum_of_weight, spectrum_of_f = (np.conj(fft.rfft2(a, shape)) for a in (weight, f))
     spectrum_of_g = fft.rfft2(g, shape)
 
-    def sum_products(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> NDArray[np.float64]:
+    def sum_products(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> Array:
         return np.asarray(fft.irfft2(first * second, shape, overwrite_x=True))
 
     # Of the region's pixels that a shift keeps in the deformed image: number, sums, sums of squares, of products.
@@ -85,14 +86,14 @@ def _correlate_coefficients(f: NDArray[np.float64], g: NDArray[np.float64],
     return np.where(good, covariance / np.sqrt(np.where(good, f_power * g_power, 1.0)), -1.0)
 
 
-def _sum_kept(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _sum_kept(values: Array, shape: tuple[int, ...]) -> Array:
     """Sums of the values at the pixels that a shift keeps in an image of the same size, for all shifts."""
     # What a shift keeps is a rectangle, so that cumulative sums do, which take a fifth of three Fourier transforms.
     by_row = _sum_kept_rows(values, shape[0])
     return np.ascontiguousarray(_sum_kept_rows(by_row.T, shape[1]).T)
 
 
-def _sum_kept_rows(values: NDArray[np.float64], n_shifts: int) -> NDArray[np.float64]:
+def _sum_kept_rows(values: Array, n_shifts: int) -> Array:
     """The same along the first axis, shifts counted as by ``_wrap``."""
     height = len(values)
     shifts = np.arange(n_shifts)
@@ -101,7 +102,7 @@ def _sum_kept_rows(values: NDArray[np.float64], n_shifts: int) -> NDArray[np.flo
     return np.asarray(up_to[np.clip(height - shifts, 0, height)] - up_to[np.clip(-shifts, 0, height)])
 
 
-def _find_peak(coefficient: NDArray[np.float64]) -> RigidShift:
+def _find_peak(coefficient: Array) -> RigidShift:
     """The shift with the largest coefficient, refined along each axis; negative ones are at the array's ends."""
     height, width = coefficient.shape
     row, column = (int(k) for k in np.unravel_index(int(np.argmax(coefficient)), coefficient.shape))
@@ -119,7 +120,7 @@ def _wrap(index: int, size: int) -> int:
     return index - size if index > size // 2 else index
 
 
-def _vertex(line: NDArray[np.float64], index: int) -> float:
+def _vertex(line: Array, index: int) -> float:
     """Vertex of the parabola through a maximum and its neighbours, relative to it."""
     left, middle, right = line[index - 1], line[index], line[(index + 1) % len(line)]
     curvature = left - 2 * middle + right
@@ -142,9 +143,9 @@ class GridField:
 
     origin: tuple[float, float]
     spacing: tuple[float, float]
-    values: NDArray[np.float64]
+    values: Array
 
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array) -> Array:
         """Interpolate between the grid's nodes at points, (n, 2), pixels, bilinearly; constant beyond its edge."""
         place = (points - np.asarray(self.origin)) / np.asarray(self.spacing)
         return np.stack([
@@ -158,7 +159,7 @@ def build_uniform_field(shift: tuple[float, float]) -> GridField:
     return GridField((0.0, 0.0), (1.0, 1.0), np.array([[shift]], dtype=np.float64))
 
 
-def fill_absent(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def fill_absent(values: Array) -> Array:
     """Give grid nodes, (rows, columns, 2), that are nan the value of the nearest present one, where there is any."""
     absent = np.isnan(values[..., 0])
     if not absent.any():

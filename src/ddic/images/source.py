@@ -3,8 +3,6 @@
 What stands in for pixels that are left out, so that what lies under a mask reaches no pixel beside it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -12,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import BoolArray
 from ddic.images.window import Window
 
 
@@ -90,7 +89,7 @@ def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDA
     return filled
 
 
-def _find_absent(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDArray[np.bool_] | None:
+def _find_absent(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> BoolArray | None:
     absent = None if usable is None else usable == 0
     if np.issubdtype(pixels.dtype, np.floating):
         not_finite = ~np.isfinite(pixels)

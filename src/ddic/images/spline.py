@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.images.prefilter import TURNED, prefilter, prefilter_columns, write_column_slopes, write_row_slopes
 from ddic.images.source import ImageSource, fill_excluded, without_cross, without_neighbours
 from ddic.images.threads import ONE_THREAD, Threads
@@ -87,13 +88,13 @@ class GradientImage:
         """
         return GradientImage(self.window, self.values - light, self.by_x.copy(), self.by_y.copy(), self.usable)
 
-    def exclude(self, excluded: NDArray[np.bool_]) -> GradientImage:
+    def exclude(self, excluded: BoolArray) -> GradientImage:
         """Exclude further pixels, in a new array that says what is usable."""
         usable = np.asarray(~excluded, dtype=np.uint8)
         return replace(self, usable=usable if self.usable is None else usable & self.usable)
 
 
-def compute_coefficients(values: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+def compute_coefficients(values: Array, degree: int) -> Array:
     """Prefilter an image for B-spline interpolation of degree 3 or 5, with reflection at its edges."""
     coefficients = np.array(values, dtype=np.float64, order="C")
     prefilter(coefficients, degree)
@@ -181,13 +182,13 @@ class _Held:
     def restrict_usable(self, usable: NDArray[np.uint8] | None, window: Window) -> NDArray[np.uint8] | None:
         return None if usable is None else usable[self.window.locate(window)].copy()
 
-    def read(self, window: Window, buffer: NDArray[np.float64]) -> NDArray[np.float64]:
+    def read(self, window: Window, buffer: Array) -> Array:
         # Memory that is asked for anew for every band costs more than its filtering.
         block = buffer[:window.n_pixels].reshape(window.height, window.width)
         block[:] = self.restrict(window)
         return block
 
-    def buffer(self, rows: int) -> NDArray[np.float64]:
+    def buffer(self, rows: int) -> Array:
         return np.empty(min(rows, self.window.height) * self.window.width)
 
 
@@ -203,8 +204,7 @@ def _bands(window: Window, height: int) -> Iterator[Window]:
         yield Window(window.x0, y0, window.x1, min(y0 + height, window.y1))
 
 
-def _coefficient_bands(held: _Held, bands: Iterable[Window],
-                       degree: int) -> Iterator[tuple[Window, NDArray[np.float64]]]:
+def _coefficient_bands(held: _Held, bands: Iterable[Window], degree: int) -> Iterator[tuple[Window, Array]]:
     buffer = held.buffer(_BAND_ROWS + 2 * HALO[degree])
     for band in bands:
         wide = band.grow(HALO[degree]).intersection(held.extent)

@@ -1,12 +1,11 @@
 """The window of a deformed image that one subdomain needs, read again when displacements outgrow it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.images.source import ImageSource
 from ddic.images.spline import GradientImage, SplineImage, read_gradient, read_spline
 from ddic.images.threads import ONE_THREAD, Threads
@@ -55,7 +54,7 @@ class MaskedSource:
         """Whether pixels can be left out at all."""
         return self.mask is not None or self.saturated_from is not None
 
-    def read_whole(self) -> NDArray[np.float64]:
+    def read_whole(self) -> Array:
         """Read all grey levels, left out or not: of coarse images, which are small."""
         return self.image.read(self.extent).astype(np.float64)
 
@@ -71,8 +70,7 @@ class MaskedSource:
         return usable
 
 
-def read_reference(source: MaskedSource, window: Window, degree: int,
-                   threads: Threads = ONE_THREAD) -> GradientImage:
+def read_reference(source: MaskedSource, window: Window, degree: int, threads: Threads = ONE_THREAD) -> GradientImage:
     """Read grey levels and gradient of a window of the reference image, clipped to it.
 
     The window is made larger where it is too small for a spline.

@@ -1,7 +1,5 @@
 """Threads of one process that share out work on pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from threading import Lock

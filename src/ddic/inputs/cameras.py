@@ -1,14 +1,12 @@
 """The cameras of a case: their reference images, where they look, and which cells each of them measures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.named_files import list_cameras, list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError
@@ -143,7 +141,7 @@ def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKi
     return CameraSetup(mapping, motion, centre, farthest)
 
 
-def list_corners(image: ImageSource) -> NDArray[np.float64]:
+def list_corners(image: ImageSource) -> Array:
     """List the centres of the pixels at an image's corners, (4, 2), around it."""
     right, bottom = image.width - 1.0, image.height - 1.0
     return np.array([[0.0, 0.0], [right, 0.0], [right, bottom], [0.0, bottom]])
@@ -161,7 +159,7 @@ def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> Camer
     return similarity(require_held(section.ratio), section.rotation_degrees, require_held(section.offset))
 
 
-def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = None) -> NDArray[np.int64]:
+def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = None) -> IntArray:
     """Assign each cell to the camera that measures it: the camera's number, (n_cells,).
 
     ``tying`` is that of near fields' own meshes in the whole one, None without. Raises InputError where a near camera
@@ -186,7 +184,7 @@ def assign_cells(cameras: Sequence[Camera], mesh: Mesh, tying: Tying | None = No
     return labels
 
 
-def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: NDArray[np.bool_]) -> None:
+def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: BoolArray) -> None:
     """Raise InputError where a near camera does not see all of its own mesh; sees: (n_nodes,)."""
     part, nodes = mesh.create_submesh(np.flatnonzero(tying.cameras == camera.number))
     hidden = part.nodes[~sees[nodes]]
@@ -195,7 +193,7 @@ def _check_own_mesh(camera: Camera, mesh: Mesh, tying: Tying, sees: NDArray[np.b
                          f"{hidden[0, 0]:.0f}, row {hidden[0, 1]:.0f}; use a smaller mesh, or a smaller margin")
 
 
-def _sees(camera: Camera, nodes: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _sees(camera: Camera, nodes: Array) -> BoolArray:
     """Whether nodes (n, 2), specimen's frame, lie in a near image, its margin left out, and in its region."""
     image = camera.reference.image
     try:
@@ -224,12 +222,12 @@ class MeasuredCells:
         Their mesh, in the specimen's frame and in the camera's pixels.
     """
 
-    cells: NDArray[np.int64]
+    cells: IntArray
     mesh: Mesh
     seen: Mesh
 
 
-def collect_measured_cells(cameras: Sequence[Camera], mesh: Mesh, labels: NDArray[np.int64]) -> list[MeasuredCells]:
+def collect_measured_cells(cameras: Sequence[Camera], mesh: Mesh, labels: IntArray) -> list[MeasuredCells]:
     """Collect the cells of each camera; ``labels``, (n_cells,), give the camera of each cell."""
     if len(cameras) == 1:
         return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]

@@ -11,9 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ddic.arrays import Array, IntArray
 from ddic.case.loader import LoadedCase
 from ddic.case.named_files import choose_frame, list_cameras, list_deformed
 from ddic.case.schema import Case
@@ -28,8 +26,6 @@ from ddic.mesh.repair import check_inside
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -212,7 +208,7 @@ class UpdatedReference:
 
     nodes: Array
     displacement: Array
-    parts: NDArray[np.int64]
+    parts: IntArray
     first_image: ImageSource
     build_first_mesh: Callable[[], tuple[Mesh, Tying | None]]
 

@@ -1,7 +1,5 @@
 """The mesh that a case asks for, and the cut-off wavelengths that its elements carry."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

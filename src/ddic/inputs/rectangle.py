@@ -1,12 +1,10 @@
 """The rectangle that PGD-DIC measures, and the lines of its elements."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError
 from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
@@ -120,7 +118,7 @@ def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle
     """
     lines = ControlledLines(np.ones(rectangle.along_x.n_nodes, dtype=bool),
                             np.ones(rectangle.along_y.n_nodes, dtype=bool))
-    ends: dict[str, tuple[NDArray[np.bool_], int]] = {"left": (lines.x, 0), "right": (lines.x, -1),
+    ends: dict[str, tuple[BoolArray, int]] = {"left": (lines.x, 0), "right": (lines.x, -1),
                                                       "top": (lines.y, 0), "bottom": (lines.y, -1)}
     for name in section.not_controlled:
         if name not in (*SIDES, BOUNDARY):
@@ -132,7 +130,7 @@ def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle
     return lines
 
 
-def choose_output_lines(case: Case, rectangle: Rectangle) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def choose_output_lines(case: Case, rectangle: Rectangle) -> tuple[Array, Array]:
     """Choose the lines x and y, (n,), pixels, between the cells on which a displacement is written out.
 
     They are lines of the rectangle, each so many elements from the one before. Raises InputError where the case asks
@@ -152,7 +150,7 @@ def choose_output_lines(case: Case, rectangle: Rectangle) -> tuple[NDArray[np.fl
     return x, y
 
 
-def _take_every(nodes: NDArray[np.float64], stride: int) -> NDArray[np.float64]:
+def _take_every(nodes: Array, stride: int) -> Array:
     """Every so many nodes, and the last one; the last cell is the larger one where they do not divide the side."""
     chosen = nodes[:-1:stride]
     if len(chosen) > 1 and len(nodes) - 1 - (len(chosen) - 1) * stride < (stride + 1) // 2:

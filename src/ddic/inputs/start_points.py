@@ -1,19 +1,15 @@
 """Displacements at points that a user gives to start from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.io.text_files import read_point_table
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +29,7 @@ class StartPoints:
     points: Array
     displacement: Array
     name: str
-    rows: NDArray[np.int64] | None = None
+    rows: IntArray | None = None
 
     def describe(self) -> str:
         """Say for the log what they are."""

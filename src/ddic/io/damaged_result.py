@@ -4,8 +4,6 @@ Tables, products and attributes are damaged where they are not what they are rea
 here, where the library does not turn in a loop over a damaged one.
 """
 
-from __future__ import annotations
-
 import mmap
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.mesh.cell_type import CELL_TYPES
@@ -133,7 +132,7 @@ def _require_sound_ids(point_data: Arrays, cell_data: Arrays) -> None:
             raise ValueError(f"{name}: numbers from 0 on expected, fewer than cells")
 
 
-def require_sound_values(mesh: Mesh, displacement: NDArray[np.float64]) -> None:
+def require_sound_values(mesh: Mesh, displacement: Array) -> None:
     """Refuse places and displacements that no measurement has, by a ValueError.
 
     ``displacement`` is (n_nodes, 2), pixels, nan where it was not measured.

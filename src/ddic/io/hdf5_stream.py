@@ -3,8 +3,6 @@
 Chunks of the residual image: their places in the image, and their bytes on disk.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import zlib

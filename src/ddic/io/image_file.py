@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import BoolArray
 from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
@@ -274,7 +275,7 @@ def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
             warnings.warn(f"{path}: {message}", stacklevel=4)
 
 
-def read_mask(path: Path, width: int, height: int) -> NDArray[np.bool_]:
+def read_mask(path: Path, width: int, height: int) -> BoolArray:
     """Read a mask, (height, width): True where the image is not 0, which are the pixels to use.
 
     ``width`` and ``height`` are those of the image that it belongs to. Raises InputError where the mask cannot be read

@@ -4,8 +4,6 @@ Only the strips or tiles under a window are read and decoded. What C libraries w
 Python, is caught.
 """
 
-from __future__ import annotations
-
 import importlib
 import logging
 import lzma

@@ -3,8 +3,6 @@
 A frame of a series as its file holds it, and the same in the pieces of another frame of its mesh.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import IntArray
 from ddic.io import result_schema as schema
 from ddic.io.damaged_result import open_hdf5
 from ddic.io.hdf5_stream import new_hdf5
@@ -72,7 +71,7 @@ def partition_like(frame: StoredFrame, other: StoredFrame) -> StoredFrame:
                        {name: values[cells] for name, values in frame.cell_data.items()})
 
 
-def _find_rows(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp] | None:
+def _find_rows(ids: IntArray, wanted: IntArray) -> NDArray[np.intp] | None:
     """Where numbers stand first; None where they are not the same ones."""
     known, first = np.unique(ids, return_index=True)
     if not np.array_equal(known, np.unique(wanted)):

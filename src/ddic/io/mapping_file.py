@@ -1,7 +1,5 @@
 """Mapping files: the mapping of a near camera and how well it is known, as TOML."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -10,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.text_files import parse_toml, read_text
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """Meshes read from files in any format that meshio knows."""
 
-from __future__ import annotations
-
 import io
 from collections import Counter
 from collections.abc import Iterator
@@ -11,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.io.input_file import require_file
 from ddic.mesh.cell_type import CELL_TYPES, CellType
@@ -78,8 +76,7 @@ def _refuse_other_cells(name: str, raw: Any) -> None:
         raise InputError(f"{name}: holds no triangle and no quadrilateral ({listed}); export the surface too")
 
 
-def _plane_points(name: str, points: NDArray[np.float64],
-                  blocks: list[tuple[CellType, NDArray[np.int64]]]) -> NDArray[np.float64]:
+def _plane_points(name: str, points: Array, blocks: list[tuple[CellType, IntArray]]) -> Array:
     """Coordinates x and y; a third one must be the same at all nodes of the cells."""
     used = np.unique(np.concatenate([cells.ravel() for _, cells in blocks]))
     used = used[(used >= 0) & (used < len(points))]
@@ -91,16 +88,16 @@ def _plane_points(name: str, points: NDArray[np.float64],
     return points[:, :2]
 
 
-def _node_sets(raw: Any) -> dict[str, NDArray[np.int64]]:
+def _node_sets(raw: Any) -> dict[str, IntArray]:
     """Node sets of all kinds by name, sorted, without empty ones."""
-    gathered: dict[str, list[NDArray[np.int64]]] = {}
+    gathered: dict[str, list[IntArray]] = {}
     for name, nodes in chain(_physical_groups(raw), _cell_sets(raw), raw.point_sets.items()):
         gathered.setdefault(name, []).append(np.asarray(nodes, dtype=np.int64).ravel())
     sets = {name: np.unique(np.concatenate(parts)) for name, parts in gathered.items()}
     return {name: nodes for name, nodes in sets.items() if len(nodes)}
 
 
-def _physical_groups(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def _physical_groups(raw: Any) -> Iterator[tuple[str, IntArray]]:
     """Nodes of the lines and vertices of Gmsh's named physical groups."""
     tags = raw.cell_data.get("gmsh:physical", [])
     for block, of_cells in zip(raw.cells, tags, strict=len(tags) > 0):
@@ -109,7 +106,7 @@ def _physical_groups(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
                 yield name, np.asarray(block.data)[np.asarray(of_cells) == tag]
 
 
-def _cell_sets(raw: Any) -> Iterator[tuple[str, NDArray[np.int64]]]:
+def _cell_sets(raw: Any) -> Iterator[tuple[str, IntArray]]:
     """Nodes of the lines and vertices of meshio's cell sets."""
     for name, members in raw.cell_sets.items():
         # Gmsh's own bookkeeping, which no user has named.

@@ -3,8 +3,6 @@
 Folders that are made for files go again where none comes of them. One run at a time writes a result.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import platform

@@ -1,7 +1,5 @@
 """Reads a result file back: one mesh and its fields, y down, whatever the pieces were."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
@@ -23,7 +22,6 @@ from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
 from ddic.separated.field import LineElements, SeparatedField
 
-Array = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]
 
 SAME_NODE_PX = 1e-9
@@ -69,7 +67,7 @@ class Result:
     displacement: Array
     point_data: Arrays
     cell_data: Arrays
-    subdomain_ids: NDArray[np.int64]
+    subdomain_ids: IntArray
     gauss_newton: Arrays
     krylov: tuple[Array, ...]
     attributes: Mapping[str, Mapping[str, Any]]
@@ -105,7 +103,7 @@ class Result:
         return fields
 
     @property
-    def measured_nodes(self) -> NDArray[np.bool_]:
+    def measured_nodes(self) -> BoolArray:
         """Whether each node has a displacement, (n_nodes,): those whose cells all were excluded have nan."""
         return np.asarray(np.isfinite(self.displacement).all(axis=1))
 
@@ -383,8 +381,8 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     return image.astype(np.float32, copy=False)
 
 
-def merge_pieces(grid: Arrays, points: Array, global_node_ids: NDArray[np.int64],
-                 global_cell_ids: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.intp], NDArray[np.intp]]:
+def merge_pieces(grid: Arrays, points: Array, global_node_ids: IntArray,
+                 global_cell_ids: IntArray) -> tuple[Mesh, NDArray[np.intp], NDArray[np.intp]]:
     """Merge the pieces of a file to one mesh, nodes and cells in the order of their numbers in the whole mesh.
 
     ``grid`` is the topology of the file by name; ``points``, (n_points, 3), are those of all pieces with the axes
@@ -399,7 +397,7 @@ def merge_pieces(grid: Arrays, points: Array, global_node_ids: NDArray[np.int64]
     return _merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order
 
 
-def _merge_mesh(grid: Arrays, nodes: Array, node_ids: NDArray[np.int64], order: NDArray[np.intp]) -> Mesh:
+def _merge_mesh(grid: Arrays, nodes: Array, node_ids: IntArray, order: NDArray[np.intp]) -> Mesh:
     """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
     n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     offsets, connectivity = grid["Offsets"], grid["Connectivity"]

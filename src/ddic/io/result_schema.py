@@ -1,7 +1,5 @@
 """Names, version and standard fields of the result file (docs/result-file.md)."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Writes the result file piece by piece, in the VTKHDF layout (UnstructuredGrid, one piece per subdomain)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -13,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.io import result_schema as schema
 from ddic.io.hdf5_stream import ChunkGrid, new_hdf5
 from ddic.io.replace_on_exit import NewFiles, replaced_together
@@ -58,9 +57,9 @@ class Piece:
         By name: scalars, vectors, symmetric tensors.
     """
 
-    points: NDArray[np.float64]
-    connectivity: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    points: Array
+    connectivity: IntArray
+    offsets: IntArray
     types: NDArray[np.uint8]
     point_data: Arrays
     cell_data: Arrays
@@ -216,7 +215,7 @@ class ResultWriter:
         self.write_arrays(group, {name: array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
                                   for name, array in arrays.items()})
 
-    def write_curves(self, group: str, curves: Sequence[Sequence[float] | NDArray[np.float64]]) -> None:
+    def write_curves(self, group: str, curves: Sequence[Sequence[float] | Array]) -> None:
         """Write arrays of different lengths as datasets 0000, 0001, ..."""
         self.write_arrays(group, {f"{number:04d}": np.asarray(curve, np.float64)
                                   for number, curve in enumerate(curves)})

@@ -4,8 +4,6 @@ Files are written while the program goes on, one after the other; others are bro
 are needed.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterable, Mapping
@@ -16,15 +14,12 @@ from types import TracebackType
 from typing import Self
 
 import h5py
-import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.damaged_result import open_hdf5
 from ddic.io.replace_on_exit import made_folder, remove_abandoned, replaced_on_exit
-
-Array = NDArray[np.float64]
 
 ORIGIN = "series.json"
 """What the frames in a folder were measured from."""

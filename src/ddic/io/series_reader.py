@@ -5,8 +5,6 @@ displacements, strains, residuals, iterations. Where a file may hold the results
 its number.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,8 +13,8 @@ from typing import Any, overload
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.damaged_result import READ_ERRORS, open_hdf5, read_array, require_sound_frames
@@ -24,8 +22,6 @@ from ddic.io.input_file import is_readable_file
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_covered_areas
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class SeriesResult:
 
     path: Path
     times: Array
-    numbers: NDArray[np.int64]
+    numbers: IntArray
     records: tuple[Mapping[str, Any], ...]
 
     def __len__(self) -> int:
@@ -212,7 +208,7 @@ class SeriesHistory:
     """
 
     times: Array
-    is_measured: NDArray[np.bool_]
+    is_measured: BoolArray
     lowest: Array
     highest: Array
     rms: Array

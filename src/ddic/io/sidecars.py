@@ -4,8 +4,6 @@ One shows the result in its length unit: points, and displacements that match th
 images kept in the result file. A result and what stands beside it are moved or removed together.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from itertools import count

@@ -3,8 +3,6 @@
 Of TOML files come the text, and values that can be used. JSON knows neither arrays nor numbers that are not finite.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -14,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.io.input_file import is_endless_file
 from ddic.io.replace_on_exit import NewFiles, begin_files
@@ -119,7 +117,7 @@ COLUMNS = ("x", "y", "u", "v")
 _SEPARATORS = ",;\t"
 
 
-def read_point_table(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def read_point_table(path: Path) -> tuple[Array, IntArray]:
     """Read displacements at points, one at least, from a CSV file: x, y, u, v, (n, 4), and the row of each, from 1.
 
     A header row names the columns x, y, u and v, in any order, then comes a row for each point; separated by commas,
@@ -171,7 +169,7 @@ MOST_DIGITS = 18
 """Digits of a whole number of 64 bits."""
 
 
-def read_partition(path: Path, n_cells: int) -> NDArray[np.int64]:
+def read_partition(path: Path, n_cells: int) -> IntArray:
     """Read the subdomain of each cell, (n_cells,): one whole number per cell, from 0, without gaps.
 
     The numbers are separated by spaces or new lines; what follows a # is a comment. Raises InputError where the file

@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.camera import CameraMapping
 from ddic.kinematics.enriched import Discontinuities, Opening
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.cell_parts import CellParts, Lines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_rotation, build_tree, find_runs, subdivide
-
-Array = NDArray[np.float64]
 
 REACH = 2.0
 """Distance from a mesh's nodes, in diameters of its largest cell, up to which a camera sees a line. Within one diameter
@@ -62,7 +60,7 @@ def _see_line(line: Array, mesh: Mesh, mapping: CameraMapping) -> list[Array]:
     return [mapping.to_image(vertices[run]) for run in find_runs(_is_near(vertices, mesh))]
 
 
-def _is_near(points: Array, mesh: Mesh) -> NDArray[np.bool_]:
+def _is_near(points: Array, mesh: Mesh) -> BoolArray:
     """Whether points lie in a mesh or not far beyond its edge."""
     corners = mesh.nodes[mesh.connectivity]
     sizes = np.maximum.reduceat(corners, mesh.offsets[:-1]) - np.minimum.reduceat(corners, mesh.offsets[:-1])
@@ -98,7 +96,7 @@ class CameraSetup:
 
     mapping: CameraMapping
     motion: MotionKind
-    centre: NDArray[np.float64]
+    centre: Array
     length: float
 
     @property
@@ -110,7 +108,7 @@ class CameraSetup:
         """Give the camera as if its set-up did not move between its pictures, without unknowns of a motion."""
         return replace(self, motion="none")
 
-    def move(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move(self, points: Array, motion: Array) -> Array:
         """Apply the motion T to points Y of the specimen's frame, (n, 2).
 
         ``motion`` are its unknowns, (n_motion_unknowns,), pixels of the specimen's frame. Eq. 20 of [BP17] says
@@ -124,7 +122,7 @@ class CameraSetup:
         turned = arms @ self._rotation(motion).T
         return np.asarray(self.centre + turned + motion[:2])
 
-    def move_back(self, points: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move_back(self, points: Array, motion: Array) -> Array:
         """Undo the motion T: from points T(Y) to Y, as ``move`` takes them."""
         if self.n_motion_unknowns == 0:
             return points
@@ -135,7 +133,7 @@ class CameraSetup:
         arms = turned @ self._rotation(motion)
         return np.asarray(self.centre + arms)
 
-    def motion_columns(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def motion_columns(self, points: Array) -> Array:
         """Differentiate T by the motion's unknowns at rest: alpha's columns R, Boolean in Eq. 20 of [BP17].
 
         R is (2 n, n_motion_unknowns), no unit, at points Y of the specimen's frame, (n, 2).
@@ -151,7 +149,7 @@ class CameraSetup:
             columns[:, 1, 2] = arm[:, 0]
         return columns.reshape(2 * n_points, self.n_motion_unknowns)
 
-    def _rotation(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _rotation(self, motion: Array) -> Array:
         return build_rotation(float(motion[2]) / self.length)
 
 
@@ -178,7 +176,7 @@ class CameraKinematics(Kinematics):
     field: Kinematics
     setup: CameraSetup
     mesh: Mesh
-    numbers: NDArray[np.int64]
+    numbers: IntArray
     matrix: sparse.csr_matrix
 
     @property
@@ -186,18 +184,18 @@ class CameraKinematics(Kinematics):
         """Derivative of the displacement in the image by the unknowns at rest, (mesh.n_dofs, n_unknowns)."""
         return self.matrix
 
-    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, unknowns: Array) -> Array:
         """Displace the nodes in the image, phi(T(X + u)) - phi(X)."""
         nodes = self.field.mesh.nodes
         u = self.field.displacement(unknowns[:self.field.n_unknowns])
         moved = self.setup.move(nodes + u.reshape(nodes.shape), self._own_motion(unknowns))
         return np.asarray(self.setup.mapping.to_image(moved) - self.mesh.nodes).ravel()
 
-    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fit(self, displacement: Array) -> Array:
         """Find the field's unknowns that explain a displacement in the image, the motion's being zero."""
         return self.fit_with_motion(displacement, np.zeros(self.n_unknowns - self.field.n_unknowns))
 
-    def fit_with_motion(self, displacement: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fit_with_motion(self, displacement: Array, motion: Array) -> Array:
         """Find the field's unknowns that explain a displacement in the image beside a motion.
 
         The displacement is that of the nodes, (mesh.n_dofs,), the camera's pixels; the motion's unknowns, pixels of the
@@ -214,13 +212,13 @@ class CameraKinematics(Kinematics):
         """Give the same for a set-up that does not move between its pictures."""
         return place_before_camera(self.field, self.setup.hold_still())
 
-    def _own_motion(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _own_motion(self, unknowns: Array) -> Array:
         first = self.field.n_unknowns
         return unknowns[first:first + self.setup.n_motion_unknowns]
 
 
 def place_before_camera(field: Kinematics, setup: CameraSetup,
-                        motion_numbers: NDArray[np.int64] | None = None) -> CameraKinematics:
+                        motion_numbers: IntArray | None = None) -> CameraKinematics:
     """Place a subdomain, with the field's unknowns in the specimen's frame, before a camera.
 
     ``motion_numbers`` are those of the motion's unknowns that the subdomain has: this camera's, or, where this camera
@@ -245,7 +243,7 @@ def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
     return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types, parts=parts)
 
 
-def _block_diagonal(blocks: NDArray[np.float64]) -> sparse.bsr_matrix:
+def _block_diagonal(blocks: Array) -> sparse.bsr_matrix:
     """One block (2, 2) a node, (2 n, 2 n)."""
     n = len(blocks)
     return sparse.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(2 * n, 2 * n))

@@ -1,14 +1,12 @@
 """Interpolation in the cells: nodal displacements to each cell's coefficients, and cells' sums back to the nodes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, IntArray
 from ddic.mesh.cell_type import N_MONOMIALS
 from ddic.mesh.mesh import Mesh, compute_geometry, pad_cells, pad_shapes
 
@@ -31,10 +29,10 @@ class CellInterpolation:
         Number of the mesh's displacement components.
     """
 
-    geometry: NDArray[np.float64]
-    shapes: NDArray[np.float64]
-    kinds: NDArray[np.int64]
-    cell_dofs: NDArray[np.int64]
+    geometry: Array
+    shapes: Array
+    kinds: IntArray
+    cell_dofs: IntArray
     n_dofs: int
 
     @property
@@ -42,13 +40,13 @@ class CellInterpolation:
         """Number of space dimensions."""
         return int(self.geometry.shape[1])
 
-    def monomial_coefficients(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def monomial_coefficients(self, q: Array) -> Array:
         """Write a nodal displacement on the monomials, cell by cell, (n_cells, dim, 4 monomials), pixels."""
         coefficients = np.empty((len(self.kinds), self.dim, N_MONOMIALS))
         _expand(np.ascontiguousarray(q, dtype=np.float64), self.cell_dofs, self.kinds, self.shapes, coefficients)
         return coefficients
 
-    def assemble_vector(self, moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    def assemble_vector(self, moments: Array) -> Array:
         """Assemble the cells' sums over pixels of some vector times the monomials, (n_cells, dim, 4 monomials).
 
         Gives the sums over all pixels of the vector times N_a, (n_dofs,).
@@ -57,7 +55,7 @@ class CellInterpolation:
         _add_up(np.ascontiguousarray(moments), self.cell_dofs, self.kinds, self.shapes, summed)
         return summed
 
-    def take_to_corners(self, cells: NDArray[np.int64], moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    def take_to_corners(self, cells: IntArray, moments: Array) -> Array:
         """Take sums of some cells over pixels, of a vector times the monomials, to the corners of each.
 
         From (n, dim, 4 monomials) to sums over the cell's pixels of the vector times N_a, (n, 4 dim), node-major; zero
@@ -68,8 +66,7 @@ class CellInterpolation:
         # Said in full: n may be 0, where a frame shows none of a subdomain's cells.
         return np.asarray(of_corners.reshape(n, n_corners * dim))
 
-    def assemble_matrix(self, cells: NDArray[np.float64],
-                        numbers: NDArray[np.int64] | None = None) -> sparse.csr_matrix:
+    def assemble_matrix(self, cells: Array, numbers: IntArray | None = None) -> sparse.csr_matrix:
         """Assemble cell matrices, (n, 4 dim, 4 dim), into one of the whole mesh, (n_dofs, n_dofs).
 
         They are zero for nodes that a cell does not have; ``numbers`` are those of the cells, by default all of the
@@ -83,7 +80,7 @@ class CellInterpolation:
         return sparse.csr_matrix(parts, shape=(self.n_dofs, self.n_dofs))
 
 
-def number_cell_dofs(mesh: Mesh) -> NDArray[np.int64]:
+def number_cell_dofs(mesh: Mesh) -> IntArray:
     """Give the displacement components of the nodes of every cell, (n_cells, 4 dim), node-major.
 
     A cell of fewer nodes repeats its first node's.

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.kinematics.kinematics import Kinematics
 from ddic.kinematics.linear import LinearRegion
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import find_nearest_segments, measure_distance
-
-Array = NDArray[np.float64]
 
 Opening = Literal["both", "tangential", "normal"]
 """Directions, seen from the line, in which the displacement may be discontinuous."""
@@ -87,14 +86,14 @@ class EnrichedRegion(LinearRegion):
         Node of the cut mesh whose pixels determine it.
     """
 
-    node_of_unknown: NDArray[np.int64]
-    seen_at: NDArray[np.int64]
+    node_of_unknown: IntArray
+    seen_at: IntArray
 
-    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def controlled(self, nodes: BoolArray) -> BoolArray:
         """Tell which unknowns are controlled: those of controlled nodes. The faces of a line bear no forces."""
         return np.asarray(nodes[self.node_of_unknown])
 
-    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
+    def restrict(self, part: Mesh, node_ids: IntArray, numbers: IntArray) -> Kinematics:
         """Give a subdomain its kinematics: nodal where no line is near."""
         if np.array_equal(numbers, component_numbers(node_ids, self.mesh.dim)):
             return NodalKinematics(part, numbers)
@@ -129,11 +128,11 @@ def enrich(cut: CutMesh, corner_weights: Array, openings: Sequence[Opening]) -> 
 class _Twins:
     """Of each node of the cut mesh, which of it and its phantoms leads; whether it has pixels enough itself."""
 
-    leader: NDArray[np.int64]
-    is_active: NDArray[np.bool_]
+    leader: IntArray
+    is_active: BoolArray
 
     @property
-    def is_free(self) -> NDArray[np.bool_]:
+    def is_free(self) -> BoolArray:
         """Whether a node has unknowns of its own."""
         return np.asarray(self.is_active | (self.leader == np.arange(len(self.leader))))
 
@@ -157,8 +156,7 @@ def _move_with_nodes(cut: CutMesh, n_unknowns: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.ones(n_dofs), (np.arange(n_dofs), columns)), shape=(n_dofs, n_unknowns))
 
 
-def _open_by_unknowns(cut: CutMesh, free: NDArray[np.int64], directions: Sequence[Array],
-                      n_unknowns: int) -> sparse.csr_matrix:
+def _open_by_unknowns(cut: CutMesh, free: IntArray, directions: Sequence[Array], n_unknowns: int) -> sparse.csr_matrix:
     """Rows by which nodes move beyond those that lead, along directions (dim, n_directions) of each."""
     dim = cut.mesh.dim
     shape = (cut.mesh.n_dofs, n_unknowns)
@@ -171,7 +169,7 @@ def _open_by_unknowns(cut: CutMesh, free: NDArray[np.int64], directions: Sequenc
     return matrix.tocsr()
 
 
-def _find_directions(cut: CutMesh, nodes: NDArray[np.int64], openings: Sequence[Opening]) -> list[Array]:
+def _find_directions(cut: CutMesh, nodes: IntArray, openings: Sequence[Opening]) -> list[Array]:
     """Unit vectors along which each node may move beyond the one that leads, (dim, n_directions)."""
     points = cut.mesh.nodes[nodes]
     tangents, lines = _find_tangents(cut, points)
@@ -204,8 +202,7 @@ def _directions_of(opening: Opening, tangent: Array) -> Array:
     return np.array([[-tangent[1]], [tangent[0]]])
 
 
-def _follow_neighbours(cut: CutMesh, twins: _Twins, bound: NDArray[np.int64],
-                       matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+def _follow_neighbours(cut: CutMesh, twins: _Twins, bound: IntArray, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
     """Rows by which bound nodes open as their neighbours do: those of free ones first, then theirs.
 
     One that no neighbour reaches stays closed.
@@ -251,8 +248,8 @@ def _interpolate_along(places: Array) -> Array:
     return np.asarray(share * at_next / at_next.sum() + (1 - share) * at_last / at_last.sum())
 
 
-def _find_pairs_across(cut: CutMesh, leader: NDArray[np.int64], is_known: NDArray[np.bool_],
-                       bound: NDArray[np.int64]) -> dict[int, list[tuple[int, int]]]:
+def _find_pairs_across(cut: CutMesh, leader: IntArray, is_known: BoolArray,
+                       bound: IntArray) -> dict[int, list[tuple[int, int]]]:
     """Known neighbours of bound nodes on their own side, and their twins on the side of the one that leads it.
 
     Of those bound nodes that have any.
@@ -270,9 +267,9 @@ def _find_pairs_across(cut: CutMesh, leader: NDArray[np.int64], is_known: NDArra
     return found
 
 
-def _group_parts(cut: CutMesh) -> list[list[NDArray[np.int64]]]:
+def _group_parts(cut: CutMesh) -> list[list[IntArray]]:
     """Nodes of the parts of each cut cell."""
-    groups: dict[int, list[NDArray[np.int64]]] = {}
+    groups: dict[int, list[IntArray]] = {}
     cells = np.zeros(0, np.int64) if cut.mesh.parts is None else cut.mesh.parts.cells
     for number in cells:
         nodes = cut.mesh.cells[number]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh
 
@@ -28,7 +28,7 @@ class Kinematics(ABC):
     """
 
     mesh: Mesh
-    numbers: NDArray[np.int64]
+    numbers: IntArray
 
     @property
     def n_unknowns(self) -> int:
@@ -41,7 +41,7 @@ class Kinematics(ABC):
         """Derivative T of the displacement by the unknowns, (mesh.n_dofs, n_unknowns)."""
 
     @abstractmethod
-    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, unknowns: Array) -> Array:
         """Displace the mesh's nodes.
 
         Parameters
@@ -56,7 +56,7 @@ class Kinematics(ABC):
         """
 
     @abstractmethod
-    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fit(self, displacement: Array) -> Array:
         """Find the unknowns whose displacement comes nearest to a given one.
 
         Parameters
@@ -70,7 +70,7 @@ class Kinematics(ABC):
             Unknowns.
         """
 
-    def at(self, points: NDArray[np.float64], unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array, unknowns: Array) -> Array:
         """Interpolate the displacement anywhere in the mesh by its shape functions, never across a hole.
 
         Parameters
@@ -113,7 +113,7 @@ class Kinematics(ABC):
         """
         return (self.tangent.T @ matrix @ self.tangent).tocsr()
 
-    def project_vector(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def project_vector(self, vector: Array) -> Array:
         """Take a vector of forces on nodes to one of forces on unknowns, T^T b.
 
         Parameters
@@ -149,7 +149,7 @@ class RegionKinematics(ABC):
         """Number of unknowns of the whole problem, motions of cameras apart."""
 
     @abstractmethod
-    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def unknowns_at(self, nodes: IntArray) -> tuple[IntArray, IntArray]:
         """Find the unknowns that displace each of some nodes.
 
         Parameters
@@ -166,7 +166,7 @@ class RegionKinematics(ABC):
         """
 
     @abstractmethod
-    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def controlled(self, nodes: BoolArray) -> BoolArray:
         """Tell which unknowns have a controlled row of equilibrium: P of Eq. 9 of [BP17].
 
         Parameters
@@ -181,7 +181,7 @@ class RegionKinematics(ABC):
         """
 
     @abstractmethod
-    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
+    def restrict(self, part: Mesh, node_ids: IntArray, numbers: IntArray) -> Kinematics:
         """Give a subdomain its kinematics.
 
         Parameters

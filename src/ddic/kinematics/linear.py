@@ -3,8 +3,6 @@
 Nodes whose displacement is that of others: a mesh tied to one that it does not match.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.kinematics.kinematics import Kinematics, RegionKinematics
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
@@ -39,7 +38,7 @@ class LinearKinematics(Kinematics):
     """
 
     mesh: Mesh
-    numbers: NDArray[np.int64]
+    numbers: IntArray
     matrix: sparse.csr_matrix
 
     @property
@@ -47,22 +46,22 @@ class LinearKinematics(Kinematics):
         """T, (mesh.n_dofs, n_unknowns)."""
         return self.matrix
 
-    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, unknowns: Array) -> Array:
         """Displace the mesh's nodes by u = T q."""
         return np.asarray(self.matrix @ unknowns)
 
-    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fit(self, displacement: Array) -> Array:
         """Find the unknowns that fit a displacement in least squares."""
         return self._solve_normal_equations(self.matrix.T @ displacement)
 
     @cached_property
-    def _solve_normal_equations(self) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    def _solve_normal_equations(self) -> Callable[[Array], Array]:
         """From r to q with T^T T q = r, of small q where there are many."""
         normal = (self.matrix.T @ self.matrix).tocsc()
         diagonal = TOGETHER * float(normal.diagonal().mean()) * sparse.identity(normal.shape[0], format="csc")
         factor = linalg.splu((normal + diagonal).tocsc())
 
-        def solve(right: NDArray[np.float64]) -> NDArray[np.float64]:
+        def solve(right: Array) -> Array:
             first = factor.solve(right)
             # Gives back what the diagonal took where T^T T is regular.
             return np.asarray(first + factor.solve(right - normal @ first))
@@ -115,13 +114,13 @@ class LinearRegion(RegionKinematics):
         """Number of unknowns."""
         return int(self.matrix.shape[1])
 
-    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def unknowns_at(self, nodes: IntArray) -> tuple[IntArray, IntArray]:
         """Find the unknowns that displace each of some nodes."""
         rows = self.matrix[component_numbers(nodes, self.mesh.dim)]
         by_component = np.diff(rows.indptr).reshape(len(nodes), self.mesh.dim)
         return rows.indices.astype(np.int64), by_component.sum(axis=1)
 
-    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def controlled(self, nodes: BoolArray) -> BoolArray:
         """Tell which unknowns are controlled: those that displace controlled nodes only.
 
         The generalised force of any other unknown has a part in the unknown forces of an edge.
@@ -130,7 +129,7 @@ class LinearRegion(RegionKinematics):
         touched = abs(self.matrix).T @ free_components.astype(np.float64)
         return np.asarray(touched == 0)
 
-    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
+    def restrict(self, part: Mesh, node_ids: IntArray, numbers: IntArray) -> Kinematics:
         """Give a subdomain the rows and columns of T that concern it."""
         rows = self.matrix[component_numbers(node_ids, self.mesh.dim)]
         return LinearKinematics(part, numbers, rows[:, numbers].tocsr())
@@ -150,7 +149,7 @@ class TiedKinematics(LinearKinematics):
 
     inverse: sparse.csr_matrix
 
-    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fit(self, displacement: Array) -> Array:
         """Find the unknowns that fit a displacement: free nodes as they are, masters in least squares."""
         return np.asarray(self.inverse @ displacement)
 
@@ -175,7 +174,7 @@ class TiedRegion(RegionKinematics):
         """Number of unknowns."""
         return int(self.weights.shape[1]) * self.mesh.dim
 
-    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def unknowns_at(self, nodes: IntArray) -> tuple[IntArray, IntArray]:
         """Find the unknowns that displace each of some nodes."""
         rows = self.weights[nodes]
         dim = self.mesh.dim
@@ -183,12 +182,12 @@ class TiedRegion(RegionKinematics):
         n_unknown_nodes = np.diff(rows.indptr).astype(np.int64)
         return component_numbers(unknown_nodes, dim), dim * n_unknown_nodes
 
-    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def controlled(self, nodes: BoolArray) -> BoolArray:
         """Tell which unknowns are controlled: those of controlled nodes, whatever is tied to these."""
         n_unknown_nodes = self.weights.shape[1]
         return np.repeat(nodes[:n_unknown_nodes], self.mesh.dim)
 
-    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> Kinematics:
+    def restrict(self, part: Mesh, node_ids: IntArray, numbers: IntArray) -> Kinematics:
         """Give a subdomain its kinematics: nodal where none of its nodes is tied."""
         unknown_nodes = numbers[::self.mesh.dim] // self.mesh.dim
         if np.array_equal(unknown_nodes, node_ids):
@@ -197,7 +196,7 @@ class TiedRegion(RegionKinematics):
         return tie(part, numbers, weights.tocsr())
 
 
-def tie(mesh: Mesh, numbers: NDArray[np.int64], weights: sparse.csr_matrix) -> TiedKinematics:
+def tie(mesh: Mesh, numbers: IntArray, weights: sparse.csr_matrix) -> TiedKinematics:
     """Tie a subdomain's nodes to the nodes of its unknowns, whose numbers are those in the whole problem.
 
     Rows of ``weights``, (mesh.n_nodes, n_unknown_nodes), add up to 1. A row with one entry 1 is a free node; other rows

@@ -1,13 +1,11 @@
 """Finite element kinematics: the unknowns are the displacements of the nodes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.kinematics.kinematics import Kinematics, RegionKinematics
 from ddic.mesh.mesh import Mesh
 
@@ -25,18 +23,18 @@ class NodalKinematics(Kinematics):
     """
 
     mesh: Mesh
-    numbers: NDArray[np.int64]
+    numbers: IntArray
 
     @property
     def tangent(self) -> sparse.csr_matrix:
         """The identity, (mesh.n_dofs, mesh.n_dofs)."""
         return sparse.identity(self.n_unknowns, format="csr")
 
-    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, unknowns: Array) -> Array:
         """Give back the unknowns."""
         return unknowns
 
-    def fit(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fit(self, displacement: Array) -> Array:
         """Give back the displacement."""
         return displacement
 
@@ -45,7 +43,7 @@ class NodalKinematics(Kinematics):
         """Give back the matrix, as `Kinematics.project_matrix` does for an identity."""
         return matrix
 
-    def project_vector(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def project_vector(self, vector: Array) -> Array:
         """Give back the vector, as `Kinematics.project_vector` does for an identity."""
         return vector
 
@@ -67,19 +65,19 @@ class NodalRegion(RegionKinematics):
         """Number of unknowns."""
         return self.mesh.n_dofs
 
-    def unknowns_at(self, nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def unknowns_at(self, nodes: IntArray) -> tuple[IntArray, IntArray]:
         """Find the components of some nodes' displacements."""
         return component_numbers(nodes, self.mesh.dim), np.full(len(nodes), self.mesh.dim)
 
-    def controlled(self, nodes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def controlled(self, nodes: BoolArray) -> BoolArray:
         """Tell which unknowns are controlled: all components of controlled nodes."""
         return np.repeat(nodes, self.mesh.dim)
 
-    def restrict(self, part: Mesh, node_ids: NDArray[np.int64], numbers: NDArray[np.int64]) -> NodalKinematics:
+    def restrict(self, part: Mesh, node_ids: IntArray, numbers: IntArray) -> NodalKinematics:
         """Give a subdomain its kinematics."""
         return NodalKinematics(part, numbers)
 
 
-def component_numbers(nodes: NDArray[np.int64], dim: int) -> NDArray[np.int64]:
+def component_numbers(nodes: IntArray, dim: int) -> IntArray:
     """Number the components of nodes' displacements, (n dim,): component c of node k is number dim k + c."""
     return np.asarray((nodes[:, None] * dim + np.arange(dim)).ravel(), dtype=np.int64)

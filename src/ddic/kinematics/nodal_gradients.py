@@ -15,13 +15,11 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.kinematics.strain import compute_displacement_gradients
 from ddic.mesh.mesh import Mesh, invert_matrices
 from ddic.mesh.quality import measure_covered_areas
-
-Array = NDArray[np.float64]
 
 N_OF_CELLS, N_OF_TRIANGLES = 18, 11
 """Columns of what is summed over cells, and over the triangles at their corners."""
@@ -185,7 +183,7 @@ class _Slopes:
     """Derivatives by x_k of du_c / dx_j at nodes, 1/px: value (n_nodes, 2, 2, 2), zero where they are not known."""
 
     value: Array
-    known: NDArray[np.bool_]
+    known: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +192,7 @@ class _AtNodes:
 
     gradient: Array
     slope: Array
-    at_edge: NDArray[np.bool_]
+    at_edge: BoolArray
 
 
 def _fit_slopes(sums: SumsAroundNodes) -> _Slopes:
@@ -260,12 +258,12 @@ def _average_along_edges(found: _AtNodes, carried: Array) -> Array:
 class _Pairs:
     """Pairs of nodes of one cell: the cell of each, the node that takes and the one that gives, (n,) each."""
 
-    cells: NDArray[np.int64]
-    target: NDArray[np.int64]
-    source: NDArray[np.int64]
+    cells: IntArray
+    target: IntArray
+    source: IntArray
 
 
-def _pair_nodes(mesh: Mesh, takes: NDArray[np.bool_], gives: NDArray[np.bool_]) -> _Pairs:
+def _pair_nodes(mesh: Mesh, takes: BoolArray, gives: BoolArray) -> _Pairs:
     """All pairs of a node that takes and one that gives; takes, gives: (n_nodes,)."""
     # Few take, as a rule: those at edges.
     at_takers = np.flatnonzero(((mesh.cells >= 0) & takes[mesh.cells]).any(axis=1))

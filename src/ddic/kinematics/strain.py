@@ -4,14 +4,12 @@ Tensors come from displacement gradients, and numbers from tensors, all in the p
 displacement, what is left without it, and how far that can be magnified.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh, invert_matrices, pad_cells
 from ddic.mesh.plane import build_rotation, multiply_across
@@ -30,11 +28,11 @@ class Strain:
         That plus grad u^T grad u / 2.
     """
 
-    infinitesimal: NDArray[np.float64]
-    green_lagrange: NDArray[np.float64]
+    infinitesimal: Array
+    green_lagrange: Array
 
 
-def compute_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
+def compute_strain(mesh: Mesh, q: Array) -> Strain:
     """Compute the strain at the centre of every cell from a nodal displacement, (n_dofs,), pixels."""
     gradient = compute_displacement_gradients(mesh, q)
     small = 0.5 * (gradient + gradient.transpose(0, 2, 1))
@@ -42,7 +40,7 @@ def compute_strain(mesh: Mesh, q: NDArray[np.float64]) -> Strain:
     return Strain(_independent_components(small), _independent_components(large))
 
 
-def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]:
+def find_inverted_cells(mesh: Mesh, q: Array) -> IntArray:
     """Find the cells that a displacement turns inside out at their centre: det(I + grad u) <= 0.
 
     Gives their sorted numbers. The nodal displacement is (n_dofs,), pixels; nan where it is not known.
@@ -52,7 +50,7 @@ def find_inverted_cells(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.int64]
         return np.flatnonzero(np.linalg.det(deformation) <= 0).astype(np.int64)
 
 
-def compute_displacement_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_displacement_gradients(mesh: Mesh, q: Array) -> Array:
     """Compute du_c/dx_j at the centre of every cell, (n_cells, dim, dim), no unit.
 
     The nodal displacement is (n_dofs,), pixels.
@@ -73,14 +71,12 @@ def compute_displacement_gradients(mesh: Mesh, q: NDArray[np.float64]) -> NDArra
     return gradient
 
 
-def _independent_components(tensor: NDArray[np.float64]) -> NDArray[np.float64]:
+def _independent_components(tensor: Array) -> Array:
     """The diagonal of symmetric tensors (n, dim, dim), then what is above it."""
     dim = tensor.shape[-1]
     places = [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
     return np.stack([tensor[:, i, j] for i, j in places], axis=1)
 
-
-Array = NDArray[np.float64]
 
 
 def compute_infinitesimal(gradients: Array) -> Array:

@@ -4,15 +4,13 @@ The functions are no polynomials. Cells about a tip are cut into small ones, who
 nothing else knows of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, IntArray
 from ddic.kinematics.enriched import EnrichedRegion
 from ddic.mesh.cell_parts import CellParts
 from ddic.mesh.cut_cells import subdivide_cells
@@ -20,8 +18,6 @@ from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import evaluate_shapes_at, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.quality import measure_cell_size
-
-Array = NDArray[np.float64]
 
 LONGEST = 2.0
 """Side of the small cells, pixels. A larger one interpolates the functions less well, a smaller one takes longer."""
@@ -49,8 +45,8 @@ class Tip:
 
     position: Array
     ahead: Array
-    nodes: NDArray[np.int64]
-    cells: NDArray[np.int64]
+    nodes: IntArray
+    cells: IntArray
     line: int
     vertex: int
 
@@ -71,7 +67,7 @@ class TipPatch:
 
     tips: tuple[Tip, ...]
     small: Mesh
-    cell_of: NDArray[np.int64]
+    cell_of: IntArray
 
 
 def find_tips(mesh: Mesh, lines: Sequence[Array], with_functions: Sequence[bool]) -> TipPatch | None:
@@ -136,8 +132,7 @@ def _find_polar(tip: Tip, points: Array) -> tuple[Array, Array]:
     return np.hypot(x, y), np.arctan2(y, x)
 
 
-def enrich_at_tips(cut: CutMesh, region: EnrichedRegion,
-                   patch: TipPatch) -> tuple[EnrichedRegion, NDArray[np.int64]]:
+def enrich_at_tips(cut: CutMesh, region: EnrichedRegion, patch: TipPatch) -> tuple[EnrichedRegion, IntArray]:
     """Give nodes about tips amplitudes of the tip functions, four for each component.
 
     ``cut`` is a mesh cut by lines that are clear of the small cells' nodes; the unknowns of ``region`` stay the first
@@ -191,7 +186,7 @@ def _evaluate_products(mesh: Mesh, tip: Tip, shapes: sparse.csr_matrix, points: 
     return sparse.hstack(products).tocsr()
 
 
-def _join_meshes(mesh: Mesh, kept: NDArray[np.int64], patch: Mesh) -> Mesh:
+def _join_meshes(mesh: Mesh, kept: IntArray, patch: Mesh) -> Mesh:
     """Some cells of a cut mesh, with the numbers of all its nodes, and then those of a patch."""
     counts = np.diff(mesh.offsets)[kept]
     of_kept = mesh.cells[kept]
@@ -202,7 +197,7 @@ def _join_meshes(mesh: Mesh, kept: NDArray[np.int64], patch: Mesh) -> Mesh:
                 _join_parts(mesh, kept, patch))
 
 
-def _join_parts(mesh: Mesh, kept: NDArray[np.int64], patch: Mesh) -> CellParts:
+def _join_parts(mesh: Mesh, kept: IntArray, patch: Mesh) -> CellParts:
     """Parts of the kept cells, then those of the patch."""
     if mesh.parts is None:
         raise ValueError("no line cuts the mesh")

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.mesh.plane import multiply_across
 
 _A, _B = 0.445948490915965, 0.091576213509771
@@ -30,8 +30,8 @@ class Lines:
         lies in them is on the wrong side.
     """
 
-    polylines: tuple[NDArray[np.float64], ...]
-    bends: tuple[NDArray[np.float64], ...] = ()
+    polylines: tuple[Array, ...]
+    bends: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +52,10 @@ class CellParts:
         The discontinuities.
     """
 
-    cells: NDArray[np.int64]
-    offsets: NDArray[np.int64]
-    corners: NDArray[np.float64]
-    first_numbers: NDArray[np.int64]
+    cells: IntArray
+    offsets: IntArray
+    corners: Array
+    first_numbers: IntArray
     lines: Lines
 
     @property
@@ -63,7 +63,7 @@ class CellParts:
         """Number of cells that are parts."""
         return len(self.cells)
 
-    def restrict(self, cells: NDArray[np.int64]) -> CellParts:
+    def restrict(self, cells: IntArray) -> CellParts:
         """Keep the parts among some cells, which are numbered anew, in this order.
 
         All lines stay, for they matter to whole cells beside them too.
@@ -105,9 +105,9 @@ class Outlines:
         Cell e has connectivity[offsets[e]:offsets[e + 1]].
     """
 
-    corners: NDArray[np.float64]
-    connectivity: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    corners: Array
+    connectivity: IntArray
+    offsets: IntArray
 
 
 def join_parts(whole: Outlines, parts: CellParts) -> Outlines:
@@ -125,7 +125,7 @@ def join_parts(whole: Outlines, parts: CellParts) -> Outlines:
     return Outlines(np.concatenate([whole.corners, parts.corners]), connectivity, offsets)
 
 
-def place_quadrature_points(parts: CellParts) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def place_quadrature_points(parts: CellParts) -> tuple[Array, Array, IntArray]:
     """Place the points of a rule of integration over the parts, each cut into triangles about its first corner.
 
     Gives points, (n, 2), pixels, their weights, which are areas in square pixels, and the number of the part of each,

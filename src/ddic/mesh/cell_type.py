@@ -3,21 +3,20 @@
 The monomials (1, xi, eta, xi eta) on which all shape functions are written: what the pixel kernels sum over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ddic.arrays import Array
 
 N_MONOMIALS = 4
 """Number of monomials, hence the most nodes that a cell may have."""
 
 
-def evaluate_monomials(local: NDArray[np.float64]) -> NDArray[np.float64]:
+def evaluate_monomials(local: Array) -> Array:
     """Evaluate the monomials (1, xi, eta, xi eta).
 
     Parameters
@@ -34,7 +33,7 @@ def evaluate_monomials(local: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.ones_like(xi), xi, eta, xi * eta], axis=1)
 
 
-def differentiate_monomials(local: NDArray[np.float64]) -> NDArray[np.float64]:
+def differentiate_monomials(local: Array) -> Array:
     """Differentiate the monomials by (xi, eta).
 
     Parameters
@@ -66,8 +65,8 @@ class Quadrature:
         Their weights, whose sum is the reference cell's area.
     """
 
-    points: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    points: Array
+    weights: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +98,8 @@ class CellType:
     name: str
     vtk: int
     meshio_name: str
-    nodes: NDArray[np.float64]
-    shapes: NDArray[np.float64]
+    nodes: Array
+    shapes: Array
     quadrature: Quadrature
     facets: tuple[tuple[int, ...], ...]
     triangles: tuple[tuple[int, int, int], ...]
@@ -117,16 +116,16 @@ class CellType:
         return int(self.nodes.shape[1])
 
     @property
-    def centre(self) -> NDArray[np.float64]:
+    def centre(self) -> Array:
         """Centre of the reference cell, (dim,)."""
         return np.asarray(self.nodes.mean(axis=0))
 
     @cached_property
-    def slopes_at_centre(self) -> NDArray[np.float64]:
+    def slopes_at_centre(self) -> Array:
         """Derivatives dN_a / dxi_j at the centre, (n_nodes, dim)."""
         return np.asarray(self.differentiate_shapes(self.centre[None])[0])
 
-    def evaluate_shapes(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+    def evaluate_shapes(self, local: Array) -> Array:
         """Evaluate the shape functions.
 
         Parameters
@@ -141,7 +140,7 @@ class CellType:
         """
         return evaluate_monomials(local) @ self.shapes.T
 
-    def differentiate_shapes(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+    def differentiate_shapes(self, local: Array) -> Array:
         """Differentiate the shape functions by the reference cell's coordinates.
 
         Parameters

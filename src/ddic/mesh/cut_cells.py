@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.mesh.cell_type import T3, CellType
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.plane import multiply_across
@@ -21,7 +21,7 @@ INNER = -1
 SHORTEST = 1e-9
 """Length, pixels, below which a chord in a polygon cuts nothing off."""
 
-Point = NDArray[np.float64]
+Point = Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +38,12 @@ class Polygon:
         Side of the cell on which the edge from each corner to the next lies, INNER where it is along a chord.
     """
 
-    corners: NDArray[np.float64]
+    corners: Array
     nodes: tuple[int, ...]
     sides: tuple[int, ...]
 
     @classmethod
-    def of_cell(cls, corners: NDArray[np.float64]) -> Polygon:
+    def of_cell(cls, corners: Array) -> Polygon:
         """Take a whole cell, whose side k runs from node k to the next one; corners are in positive order, pixels."""
         numbers = tuple(range(len(corners)))
         return cls(corners, numbers, numbers)
@@ -63,7 +63,7 @@ class Polygon:
             return (self,)
         return self._keep(-heights), self._keep(heights)
 
-    def _keep(self, heights: NDArray[np.float64]) -> Polygon:
+    def _keep(self, heights: Array) -> Polygon:
         """The part where heights, of the corners above a line, are positive."""
         corners, nodes, sides = [], [], []
         for k in range(len(heights)):
@@ -98,10 +98,10 @@ class Chord:
 
     start: Point
     end: Point
-    bends: NDArray[np.float64]
+    bends: Array
 
 
-def find_chords(corners: NDArray[np.float64], line: NDArray[np.float64]) -> list[Chord]:
+def find_chords(corners: Array, line: Array) -> list[Chord]:
     """Find where a polyline crosses a convex cell from side to side; an end inside the cell cuts nothing.
 
     Chords follow along the line. The cell's corners are in positive order, and no vertex of the line lies on its
@@ -122,12 +122,12 @@ def find_chords(corners: NDArray[np.float64], line: NDArray[np.float64]) -> list
     return chords
 
 
-def _is_inside(corners: NDArray[np.float64], point: Point) -> bool:
+def _is_inside(corners: Array, point: Point) -> bool:
     edges = np.roll(corners, -1, axis=0) - corners
     return bool((multiply_across(edges, point - corners) > 0).all())
 
 
-def _cross_outline(corners: NDArray[np.float64], start: Point, end: Point) -> list[tuple[float, Point]]:
+def _cross_outline(corners: Array, start: Point, end: Point) -> list[tuple[float, Point]]:
     """Where a segment crosses the cell's sides: share of its length, and the point."""
     crossings = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -144,18 +144,16 @@ def _cross_outline(corners: NDArray[np.float64], start: Point, end: Point) -> li
     return crossings
 
 
-Array = NDArray[np.float64]
 
-
-def subdivide_cells(mesh: Mesh, cells: NDArray[np.int64], longest: float) -> tuple[Mesh, NDArray[np.int64]]:
+def subdivide_cells(mesh: Mesh, cells: IntArray, longest: float) -> tuple[Mesh, IntArray]:
     """Cut whole T3 and Q4 cells into small ones; nodes on a side that two cells share are there twice.
 
     No side of a small cell is longer than ``longest`` pixels where cells are parallelograms. Gives the mesh of the
     small cells, and the cell that each of them lies in.
     """
-    blocks: list[tuple[CellType, NDArray[np.int64]]] = []
+    blocks: list[tuple[CellType, IntArray]] = []
     nodes: list[Array] = []
-    cell_of: list[NDArray[np.int64]] = []
+    cell_of: list[IntArray] = []
     n_nodes = 0
     for cell in cells:
         cell_type = next(block.type for block in mesh.cell_blocks if block.type.vtk == mesh.types[cell])
@@ -171,7 +169,7 @@ def subdivide_cells(mesh: Mesh, cells: NDArray[np.int64], longest: float) -> tup
     return build_mesh(np.concatenate(nodes), blocks), np.concatenate(cell_of)
 
 
-def _subdivide_quadrilateral(corners: Array, n: int) -> tuple[Array, NDArray[np.int64]]:
+def _subdivide_quadrilateral(corners: Array, n: int) -> tuple[Array, IntArray]:
     """Nodes ((n + 1)^2, 2) and cells (n^2, 4) of a grid in a quadrilateral, of n cells a side."""
     shares = np.arange(n + 1) / n
     below = _divide(corners[0], corners[1], shares)
@@ -182,7 +180,7 @@ def _subdivide_quadrilateral(corners: Array, n: int) -> tuple[Array, NDArray[np.
     return rows.reshape(-1, 2), cells.reshape(-1, 4)
 
 
-def _subdivide_triangle(corners: Array, n: int) -> tuple[Array, NDArray[np.int64]]:
+def _subdivide_triangle(corners: Array, n: int) -> tuple[Array, IntArray]:
     """Nodes and cells (n^2, 3) of a grid in a triangle, of n cells a side."""
     left = _divide(corners[0], corners[2], np.arange(n + 1) / n)
     right = _divide(corners[1], corners[2], np.arange(n + 1) / n)

@@ -6,15 +6,13 @@ ahead of a line's end the support hangs together, hence nothing opens there. Eac
 or a phantom of it, which lies on the other side of a line; a point on its own side is found for each node.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.mesh.cell_parts import CellParts, Lines
 from ddic.mesh.cut_cells import Polygon, find_chords
 from ddic.mesh.mesh import Mesh
@@ -54,7 +52,7 @@ def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
     return numbers
 
 
-def get_nodes(mesh: Mesh, cell: int) -> NDArray[np.int64]:
+def get_nodes(mesh: Mesh, cell: int) -> IntArray:
     """Give the nodes of a cell, in the cell's order."""
     return mesh.connectivity[mesh.offsets[cell]:mesh.offsets[cell + 1]]
 
@@ -95,7 +93,7 @@ def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) 
     return groups
 
 
-def _find_cells_around(mesh: Mesh, nodes: NDArray[np.int64]) -> dict[int, list[int]]:
+def _find_cells_around(mesh: Mesh, nodes: IntArray) -> dict[int, list[int]]:
     """Cells around each of some nodes."""
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     wanted = np.isin(mesh.connectivity, nodes)
@@ -119,7 +117,7 @@ def _holds_node(mesh: Mesh, parts: Parts, unit: Unit, node: int) -> bool:
     return in_cell in parts[cell][place].nodes
 
 
-def _list_shared_facets(mesh: Mesh, cells: NDArray[np.int64]) -> list[tuple[int, int, tuple[int, int]]]:
+def _list_shared_facets(mesh: Mesh, cells: IntArray) -> list[tuple[int, int, tuple[int, int]]]:
     """Pairs of some cells that share a facet, and its nodes in ascending order."""
     part, nodes = mesh.create_submesh(cells)
     facets = find_facets(part)
@@ -160,8 +158,6 @@ belong to neither side of the node."""
 MOST_MOVES = 100
 """Moves after which a line counts as one that cannot be kept clear of the nodes."""
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class CutMesh:
@@ -179,25 +175,25 @@ class CutMesh:
     """
 
     mesh: Mesh
-    node_of: NDArray[np.int64]
-    cell_of: NDArray[np.int64]
+    node_of: IntArray
+    cell_of: IntArray
 
     @property
     def lines(self) -> tuple[Array, ...]:
         """The polylines that cut it, pixels; none where it has no part."""
         return () if self.mesh.parts is None else self.mesh.parts.lines.polylines
 
-    def find_with_phantoms(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    def find_with_phantoms(self, nodes: IntArray) -> IntArray:
         """Find some nodes of the whole mesh, and their phantoms, in the cut one; sorted."""
         return np.flatnonzero(np.isin(self.node_of, nodes)).astype(np.int64)
 
-    def find_cut_nodes(self) -> NDArray[np.int64]:
+    def find_cut_nodes(self) -> IntArray:
         """Find the nodes of cut cells: sorted numbers in the cut mesh."""
         parts = self.mesh.parts
         nodes = np.zeros(0, np.int64) if parts is None else np.unique(self.mesh.cells[parts.cells])
         return nodes[nodes >= 0]
 
-    def find_cells_at_phantoms(self) -> NDArray[np.int64]:
+    def find_cells_at_phantoms(self) -> IntArray:
         """Find the cells with a phantom node, or a node that has one: sorted numbers in the cut mesh."""
         has_twin = np.bincount(self.node_of)[self.node_of] > 1
         of_corners = has_twin[self.mesh.connectivity]
@@ -255,7 +251,7 @@ def _cut_cells(mesh: Mesh, lines: Sequence[Array]) -> tuple[dict[int, list[Polyg
     return found, tuple(bends)
 
 
-def _find_touched_cells(mesh: Mesh, lines: Sequence[Array]) -> NDArray[np.int64]:
+def _find_touched_cells(mesh: Mesh, lines: Sequence[Array]) -> IntArray:
     """Cells whose box a segment's box meets and that have corners on both sides of the segment."""
     corners = mesh.nodes[mesh.connectivity]
     low = np.minimum.reduceat(corners, mesh.offsets[:-1], axis=0)
@@ -308,7 +304,7 @@ def _outline_parts(parts: Parts, place_of_unit: Mapping[Unit, int], lines: Lines
     return CellParts(places, offsets, corners, offsets[:-1], lines)
 
 
-def find_points_on_own_side(mesh: Mesh) -> NDArray[np.float64]:
+def find_points_on_own_side(mesh: Mesh) -> Array:
     """Find a point for each node at which a field on the node's side of all lines can be looked up.
 
     (n_nodes, 2), pixels: the node itself or, where none of its parts holds it, the middle of the nearest of them.

@@ -3,8 +3,6 @@
 Holes that a mask image draws: outlines of what it leaves out, with their corners.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.mesh.plane import multiply_across
 
 NO_CORNERS = np.zeros((0, 2))
@@ -22,13 +21,13 @@ class Hole(Protocol):
     """A closed outline in the plane."""
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Array:
         """Points of the outline at which a node is to lie, (n, 2), pixels."""
 
-    def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_distance(self, points: Array) -> Array:
         """Measure the distance of points, (n, 2), to the outline, (n,), pixels, negative inside."""
 
-    def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_nearest(self, points: Array) -> Array:
         """Find the nearest point of the outline to each of some points, (n, 2), pixels."""
 
 
@@ -46,15 +45,15 @@ class CircularHole:
     radius: float
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Array:
         """None, (0, 2)."""
         return NO_CORNERS
 
-    def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the circle, pixels, negative inside."""
         return np.asarray(np.linalg.norm(points - np.array(self.center), axis=1) - self.radius)
 
-    def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_nearest(self, points: Array) -> Array:
         """Find the nearest point of the circle; the centre itself stays where it is."""
         offset = points - np.array(self.center)
         length = np.linalg.norm(offset, axis=1, keepdims=True)
@@ -72,19 +71,19 @@ class PolygonalHole:
         Pixels.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Array
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Array:
         """None, (0, 2): nodes go to the nearest point of a side."""
         return NO_CORNERS
 
-    def measure_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the polygon, pixels, negative inside."""
         away = np.linalg.norm(self.find_nearest(points) - points, axis=1)
         return np.where(self._inside(points), -away, away)
 
-    def find_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_nearest(self, points: Array) -> Array:
         """Find the nearest point of the polygon."""
         best = np.array(points, dtype=np.float64)
         smallest = np.full(len(points), np.inf)
@@ -99,7 +98,7 @@ class PolygonalHole:
             best[closer], smallest[closer] = candidate[closer], away[closer]
         return best
 
-    def _inside(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _inside(self, points: Array) -> BoolArray:
         """Whether a ray to the right crosses the polygon an odd number of times, (n,)."""
         x, y = points.T
         inside = np.zeros(len(points), dtype=bool)
@@ -109,7 +108,7 @@ class PolygonalHole:
             inside ^= spans & (x < xa + (y - ya) * (xb - xa) / height)
         return inside
 
-    def _edges(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def _edges(self) -> list[tuple[Array, Array]]:
         """Start and end of each edge, pixels."""
         corners = np.asarray(self.vertices, dtype=np.float64)
         return list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
@@ -121,8 +120,6 @@ STRAIGHT_PX = 0.8
 
 SHARP_DEGREES = 30.0
 """Turn of an outline from which on it is a corner; a larger value keeps fewer."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +151,7 @@ class OutlinedHole:
         return np.asarray(nearest[chosen, np.arange(len(points))])
 
 
-def find_mask_holes(mask: NDArray[np.bool_], region: Sequence[float], element_size: float) -> list[OutlinedHole]:
+def find_mask_holes(mask: BoolArray, region: Sequence[float], element_size: float) -> list[OutlinedHole]:
     """Find what a mask leaves out of a region (x0, y0, x1, y1), pixels, what lies outside of the image too.
 
     The mask is True where cells may be. Holes come from top to bottom; specks of less than half an element's side
@@ -167,7 +164,7 @@ def find_mask_holes(mask: NDArray[np.bool_], region: Sequence[float], element_si
     return [_outline(labels == k, low - 1, element_size) for k in large]
 
 
-def _find_left_out(mask: NDArray[np.bool_], low: NDArray[np.int_], high: NDArray[np.int_]) -> NDArray[np.uint8]:
+def _find_left_out(mask: BoolArray, low: NDArray[np.int_], high: NDArray[np.int_]) -> NDArray[np.uint8]:
     """1 on pixels from low to high, with a margin of one before and two after, that lie in no cell; low, high: (x, y).
 
     The margin is as the pixels beside it: where the region is as large as the image, it is no hole.
@@ -179,7 +176,7 @@ def _find_left_out(mask: NDArray[np.bool_], low: NDArray[np.int_], high: NDArray
     return np.asarray(~(is_inside & shown), dtype=np.uint8)
 
 
-def _outline(inside: NDArray[np.bool_], low: NDArray[np.int_], element_size: float) -> OutlinedHole:
+def _outline(inside: BoolArray, low: NDArray[np.int_], element_size: float) -> OutlinedHole:
     """Outline of some pixels along their edges; low: (x, y) of the array's first pixel."""
     padded = np.pad(inside, 1)
     # A contour through the corners of pixels runs along their edges.

@@ -3,15 +3,13 @@
 Whether points lie inside a mesh's outline, and which cells cover any of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.cell_type import N_MONOMIALS, differentiate_monomials, evaluate_monomials
 from ddic.mesh.mesh import Mesh, compute_geometry, pad_shapes
 from ddic.mesh.plane import multiply_across
@@ -42,16 +40,16 @@ class Located:
         The points in their reference cells, nan where there is no cell.
     """
 
-    cells: NDArray[np.int64]
-    local: NDArray[np.float64]
+    cells: IntArray
+    local: Array
 
 
 class _Polygons(NamedTuple):
     """A mesh's arrays, as the kernels take them."""
 
-    nodes: NDArray[np.float64]
-    connectivity: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    nodes: Array
+    connectivity: IntArray
+    offsets: IntArray
 
 
 class _Buckets(NamedTuple):
@@ -61,15 +59,15 @@ class _Buckets(NamedTuple):
     cells[first[k]:first[k + 1]].
     """
 
-    low: NDArray[np.float64]
+    low: Array
     size: float
     columns: int
     rows: int
-    first: NDArray[np.int64]
-    cells: NDArray[np.int64]
+    first: IntArray
+    cells: IntArray
 
 
-def interpolate(mesh: Mesh, values: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def interpolate(mesh: Mesh, values: Array, points: Array) -> Array:
     """Interpolate nodal values, (n_nodes, k), at points, pixels, never across a hole.
 
     The result, (n, k), is nan outside the mesh and in its holes. Cells must be convex and run positively, as ``repair``
@@ -78,7 +76,7 @@ def interpolate(mesh: Mesh, values: NDArray[np.float64], points: NDArray[np.floa
     return interpolate_located(mesh, values, locate(mesh, points))
 
 
-def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Located) -> NDArray[np.float64]:
+def interpolate_located(mesh: Mesh, values: Array, located: Located) -> Array:
     """Interpolate nodal values at points whose cells are known, for many fields at the same points.
 
     From values (n_nodes, k) to (n, k), nan where points are in no cell.
@@ -101,7 +99,7 @@ def interpolate_located(mesh: Mesh, values: NDArray[np.float64], located: Locate
     return found
 
 
-def evaluate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def evaluate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:
     """Evaluate shape functions at points, pixels, in given cells, (n, 4); zero for nodes that a cell does not have."""
     monomials = evaluate_monomials(place_in_cells(mesh, cells, points).local)
     shapes = np.zeros((len(points), N_MONOMIALS))
@@ -111,7 +109,7 @@ def evaluate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.
     return shapes
 
 
-def differentiate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def differentiate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:
     """Differentiate shape functions at points, pixels, in given cells: dN_a / dx_j, (n, 4, dim), 1/px.
 
     Derivatives are zero for nodes that a cell does not have.
@@ -126,7 +124,7 @@ def differentiate_shapes_at(mesh: Mesh, cells: NDArray[np.int64], points: NDArra
     return gradients
 
 
-def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
+def locate(mesh: Mesh, points: Array) -> Located:
     """Find the cells that hold points, (n, dim), pixels, and the points' places in them.
 
     A point on an edge or a node belongs to one of the cells there, the first of those that hold it. Cells must be
@@ -141,7 +139,7 @@ def locate(mesh: Mesh, points: NDArray[np.float64]) -> Located:
     return place_in_cells(mesh, cells, points)
 
 
-def place_in_cells(mesh: Mesh, cells: NDArray[np.int64], points: NDArray[np.float64]) -> Located:
+def place_in_cells(mesh: Mesh, cells: IntArray, points: Array) -> Located:
     """Place points, pixels, in given convex cells, -1 for none, or beyond them: shape functions go on outside."""
     local = np.full(points.shape, np.nan)
     if mesh.n_cells:
@@ -250,7 +248,7 @@ _CHUNK = 1 << 22
 """Pairs of a point and an edge that are compared at once; a larger value takes more memory."""
 
 
-def is_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.bool_]:
+def is_inside_outline(points: Array, mesh: Mesh) -> BoolArray:
     """Tell whether points, pixels, lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
 
     Those in its holes do not.
@@ -268,7 +266,7 @@ def is_inside_outline(points: NDArray[np.float64], mesh: Mesh) -> NDArray[np.boo
     return inside
 
 
-def find_cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: float) -> NDArray[np.int64]:
+def find_cells_with_points(mesh: Mesh, points: Array, margin: float) -> IntArray:
     """Find the cells that hold any of some points more than ``margin`` from their edges, pixels; sorted.
 
     Cells must be convex and run positively.
@@ -288,7 +286,7 @@ def find_cells_with_points(mesh: Mesh, points: NDArray[np.float64], margin: floa
     return np.flatnonzero(found).astype(np.int64)
 
 
-def _count_crossings(points: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+def _count_crossings(points: Array, edges: Array) -> IntArray:
     """How many edges (m, 2 ends, 2) the rays from points (n, 2) to the right cross, (n,)."""
     x0, y0 = edges[:, 0].T
     x1, y1 = edges[:, 1].T
@@ -302,7 +300,7 @@ def _count_crossings(points: NDArray[np.float64], edges: NDArray[np.float64]) ->
     return np.asarray((spans & to_the_right).sum(axis=1))
 
 
-def _edge_distances(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _edge_distances(points: Array, corners: Array) -> Array:
     """Signed distances (n, m) of points (n, 2) from the lines through a polygon's edges, positive inside."""
     along = np.roll(corners, -1, axis=0) - corners
     apart = points[:, None] - corners

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.cell_parts import CellParts, Outlines, join_cell_parts, join_parts
 from ddic.mesh.cell_type import CELL_TYPES, N_MONOMIALS, CellType
 from ddic.mesh.plane import build_rotation
@@ -39,16 +40,16 @@ class Similarity:
     y_up: bool = False
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Array:
         """The mesh's axes in the image as columns, R S, (2, 2)."""
         rotation = build_rotation(self.angle)
         return rotation @ np.diag([1.0, -1.0]) if self.y_up else rotation
 
-    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_pixels(self, points: Array) -> Array:
         """Map points, (n, 2), from mesh units to pixels."""
         return np.asarray(self.scale * points @ self.axes.T + np.asarray(self.translation))
 
-    def map_vectors_to_mesh_units(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    def map_vectors_to_mesh_units(self, vectors: Array) -> Array:
         """Map displacements, (n, 2), from pixels to mesh units."""
         return vectors @ self.axes / self.scale
 
@@ -68,8 +69,8 @@ class CellBlock:
     """
 
     type: CellType
-    cells: NDArray[np.int64]
-    nodes: NDArray[np.int64]
+    cells: IntArray
+    nodes: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +95,11 @@ class Mesh:
         Outlines of the cells that a discontinuity cut, each side of them a cell with nodes of its own.
     """
 
-    nodes: NDArray[np.float64]
-    connectivity: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    nodes: Array
+    connectivity: IntArray
+    offsets: IntArray
     types: NDArray[np.uint8]
-    node_sets: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    node_sets: Mapping[str, IntArray] = field(default_factory=dict)
     mapping: Similarity = field(default_factory=Similarity)
     parts: CellParts | None = None
 
@@ -123,7 +124,7 @@ class Mesh:
         return self.nodes.size
 
     @cached_property
-    def cells(self) -> NDArray[np.int64]:
+    def cells(self) -> IntArray:
         """Nodes of each cell, (n_cells, widest cell), padded with -1."""
         counts = np.diff(self.offsets)
         width = int(counts.max(initial=0))
@@ -148,13 +149,13 @@ class Mesh:
         return whole if self.parts is None else join_parts(whole, self.parts)
 
     @cached_property
-    def centroids(self) -> NDArray[np.float64]:
+    def centroids(self) -> Array:
         """Mean of the corners of each cell's outline, (n_cells, dim), pixels."""
         outlines = self.outlines
         sums = np.add.reduceat(outlines.corners[outlines.connectivity], outlines.offsets[:-1], axis=0)
         return np.asarray(sums / np.diff(outlines.offsets)[:, None])
 
-    def find_cells_among(self, is_among: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def find_cells_among(self, is_among: BoolArray) -> IntArray:
         """Find the cells whose nodes all are among some.
 
         Parameters
@@ -170,7 +171,7 @@ class Mesh:
         all_are = np.logical_and.reduceat(is_among[self.connectivity], self.offsets[:-1])
         return np.flatnonzero(all_are).astype(np.int64)
 
-    def create_submesh(self, cells: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
+    def create_submesh(self, cells: IntArray) -> tuple[Mesh, IntArray]:
         """Restrict the mesh to some of its cells and to their nodes.
 
         Parameters
@@ -195,9 +196,9 @@ class Mesh:
         return mesh, node_ids
 
 
-def build_mesh(nodes: NDArray[np.float64],
-                    blocks: Mapping[CellType, NDArray[np.int64]] | Iterable[tuple[CellType, NDArray[np.int64]]],
-                    node_sets: Mapping[str, NDArray[np.int64]] | None = None,
+def build_mesh(nodes: Array,
+                    blocks: Mapping[CellType, IntArray] | Iterable[tuple[CellType, IntArray]],
+                    node_sets: Mapping[str, IntArray] | None = None,
                     mapping: Similarity | None = None) -> Mesh:
     """Build a mesh from arrays of cells by type, (n, type.n_nodes), whose order its cells have.
 
@@ -238,12 +239,12 @@ def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
                 parts=join_cell_parts(parts, first_cells.tolist()) if parts else None)
 
 
-def _offsets(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def _offsets(counts: IntArray) -> IntArray:
     """Where each cell's nodes begin, from their numbers."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _number_used(nodes: NDArray[np.int64], n_nodes: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _number_used(nodes: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
     """Sorted numbers of the nodes that occur, and the place of each occurrence among them."""
     if len(nodes) < n_nodes:
         node_ids, places = np.unique(nodes, return_inverse=True)
@@ -254,25 +255,25 @@ def _number_used(nodes: NDArray[np.int64], n_nodes: int) -> tuple[NDArray[np.int
     return np.flatnonzero(is_used).astype(np.int64), (np.cumsum(is_used) - 1)[nodes]
 
 
-def _restrict(node_ids: NDArray[np.int64], members: NDArray[np.int64]) -> NDArray[np.int64]:
+def _restrict(node_ids: IntArray, members: IntArray) -> IntArray:
     """Places in node_ids of the members that it holds."""
     return np.flatnonzero(np.isin(node_ids, members)).astype(np.int64)
 
 
-def pad_shapes(kind: CellType) -> NDArray[np.float64]:
+def pad_shapes(kind: CellType) -> Array:
     """Pad a cell type's shape coefficients to (4 nodes, 4 monomials); rows of nodes that it does not have are zero."""
     padded = np.zeros((N_MONOMIALS, N_MONOMIALS))
     padded[:kind.n_nodes] = kind.shapes
     return padded
 
 
-def sum_about_nodes(mesh: Mesh, of_cells: NDArray[np.float64]) -> NDArray[np.float64]:
+def sum_about_nodes(mesh: Mesh, of_cells: Array) -> Array:
     """Sum numbers of cells, (n_cells,), over the cells about each node, (n_nodes,)."""
     of_corners = np.repeat(of_cells, np.diff(mesh.offsets))
     return np.asarray(np.bincount(mesh.connectivity, of_corners, mesh.n_nodes), dtype=np.float64)
 
 
-def pad_cells(mesh: Mesh) -> NDArray[np.int64]:
+def pad_cells(mesh: Mesh) -> IntArray:
     """Pad the cells' nodes to (n_cells, 4): a cell with fewer repeats its first node, whose padded shape is zero."""
     cells = np.full((mesh.n_cells, N_MONOMIALS), -1, dtype=np.int64)
     cells[:, :mesh.cells.shape[1]] = mesh.cells
@@ -280,7 +281,7 @@ def pad_cells(mesh: Mesh) -> NDArray[np.int64]:
     return np.where(cells < 0, first, cells)
 
 
-def compute_geometry(mesh: Mesh) -> NDArray[np.float64]:
+def compute_geometry(mesh: Mesh) -> Array:
     """Find the map x = sum_m X_m phi_m(xi, eta) from the reference cell to every cell: X, (n_cells, dim, 4), pixels."""
     of_type = np.zeros((max(CELL_TYPES) + 1, N_MONOMIALS, N_MONOMIALS))
     for number, kind in CELL_TYPES.items():
@@ -289,8 +290,7 @@ def compute_geometry(mesh: Mesh) -> NDArray[np.float64]:
     return np.ascontiguousarray(np.einsum("eam,eac->ecm", of_type[mesh.types], coordinates))
 
 
-def compute_shape_gradients(mesh: Mesh, block: CellBlock,
-                    local: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def compute_shape_gradients(mesh: Mesh, block: CellBlock, local: Array) -> tuple[Array, Array]:
     """Differentiate the shape functions of cells of one type by x, at points of the reference cell, (n_points, dim).
 
     Gives dN_a / dx_j, (n, n_points, n_nodes, dim), 1/px, and the determinant of the map's Jacobian, (n, n_points),
@@ -309,7 +309,7 @@ def compute_shape_gradients(mesh: Mesh, block: CellBlock,
     return gradients, det
 
 
-def invert_matrices(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def invert_matrices(matrices: Array) -> tuple[Array, Array]:
     """Invert many small matrices, (..., dim, dim), none of them singular, and give their determinants too.
 
     In two dimensions that is done by the closed form, which is ten times as fast.

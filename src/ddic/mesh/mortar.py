@@ -1,13 +1,11 @@
 """Mortar between the edges of two meshes that touch along a line where their nodes need not meet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.plane import build_tree, multiply_across
 
 NOTHING = 1e-14
@@ -34,10 +32,10 @@ class Sides:
         Distance below which points are one, pixels.
     """
 
-    far_nodes: NDArray[np.float64]
-    far_edges: NDArray[np.int64]
-    near_nodes: NDArray[np.float64]
-    near_edges: NDArray[np.int64]
+    far_nodes: Array
+    far_edges: IntArray
+    near_nodes: Array
+    near_edges: IntArray
     tolerance: float
 
 
@@ -53,17 +51,17 @@ class Overlaps:
         Where a piece begins and ends on each of them, 0 to 1 along it.
     """
 
-    far: NDArray[np.int64]
-    near: NDArray[np.int64]
-    near_ends: NDArray[np.float64]
-    far_ends: NDArray[np.float64]
+    far: IntArray
+    near: IntArray
+    near_ends: Array
+    far_ends: Array
 
-    def measure_far_cover(self, n_edges: int) -> NDArray[np.float64]:
+    def measure_far_cover(self, n_edges: int) -> Array:
         """Measure the share of each of ``n_edges`` far edges that near edges cover, 0 to 1."""
         lengths = np.abs(np.diff(self.far_ends)[:, 0])
         return np.asarray(np.bincount(self.far, lengths, n_edges), dtype=np.float64)
 
-    def measure_near_cover(self, n_edges: int) -> NDArray[np.float64]:
+    def measure_near_cover(self, n_edges: int) -> Array:
         """Measure the share of each of ``n_edges`` near edges that far edges cover, 0 to 1."""
         lengths = np.diff(self.near_ends)[:, 0]
         return np.asarray(np.bincount(self.near, lengths, n_edges), dtype=np.float64)
@@ -81,7 +79,7 @@ class Mortar:
         P.
     """
 
-    slaves: NDArray[np.int64]
+    slaves: IntArray
     weights: sparse.csr_matrix
 
 
@@ -133,19 +131,19 @@ def integrate_mortar(sides: Sides, pieces: Overlaps) -> Mortar:
 class _Lines:
     """Straight edges: where each begins (n, 2), the vector along it (n, 2) and its length (n,), pixels."""
 
-    begin: NDArray[np.float64]
-    along: NDArray[np.float64]
-    length: NDArray[np.float64]
+    begin: Array
+    along: Array
+    length: Array
 
 
-def _lines(nodes: NDArray[np.float64], edges: NDArray[np.int64]) -> _Lines:
+def _lines(nodes: Array, edges: IntArray) -> _Lines:
     """The edges as vectors."""
     begin = nodes[edges[:, 0]]
     along = nodes[edges[:, 1]] - begin
     return _Lines(begin, along, np.linalg.norm(along, axis=1))
 
 
-def _overlap_edge(far: int, ends: NDArray[np.float64], near: _Lines, tolerance: float) -> Overlaps:
+def _overlap_edge(far: int, ends: Array, near: _Lines, tolerance: float) -> Overlaps:
     """Pieces that one far edge, whose ends (2, 2) are given, has in common with near edges."""
     # Of both ends in the frame of every near edge: its place along the edge, 0 to 1, and its height above it, pixels.
     along, length = near.along[:, None], near.length[:, None]
@@ -168,19 +166,18 @@ def _overlap_edge(far: int, ends: NDArray[np.float64], near: _Lines, tolerance: 
     return Overlaps(np.full(len(found), far, dtype=np.int64), found, near_ends[close], far_ends)
 
 
-def _clip_to_edge(place: NDArray[np.float64], small: NDArray[np.float64]) -> NDArray[np.float64]:
+def _clip_to_edge(place: Array, small: Array) -> Array:
     """Places along an edge cut to 0 and 1, and those that are nearly there put there."""
     clipped = np.clip(place, 0.0, 1.0)
     return np.where(clipped < small, 0.0, np.where(clipped > 1.0 - small, 1.0, clipped))
 
 
-def _round_to_ends(place: NDArray[np.float64], small: float) -> NDArray[np.float64]:
+def _round_to_ends(place: Array, small: float) -> Array:
     """Places along an edge, those that are nearly at 0 or 1 put there."""
     return np.where(np.abs(place) < small, 0.0, np.where(np.abs(place - 1.0) < small, 1.0, place))
 
 
-def _multipliers_times_far(sides: Sides, pieces: Overlaps, pinned: NDArray[np.bool_],
-                           length: NDArray[np.float64]) -> sparse.csr_matrix:
+def _multipliers_times_far(sides: Sides, pieces: Overlaps, pinned: BoolArray, length: Array) -> sparse.csr_matrix:
     """Integrals of psi of near nodes times N of far nodes, (n_near_nodes, n_far_nodes), pixels."""
     shape = (len(sides.near_nodes), len(sides.far_nodes))
     total = sparse.csr_matrix(shape)
@@ -193,7 +190,7 @@ def _multipliers_times_far(sides: Sides, pieces: Overlaps, pinned: NDArray[np.bo
     return total
 
 
-def _moments(pieces: Overlaps, near_end: int, far_end: int, pinned: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _moments(pieces: Overlaps, near_end: int, far_end: int, pinned: BoolArray) -> Array:
     """Integral of psi of a near edge's end times N of a far edge's over each piece, near edges of length 1.
 
     pinned: (n, 2), whether each end has no multiplier. The product is quadratic along a piece.
@@ -210,13 +207,12 @@ def _moments(pieces: Overlaps, near_end: int, far_end: int, pinned: NDArray[np.b
     return total * (pieces.near_ends[:, 1] - pieces.near_ends[:, 0])
 
 
-def _between(ends: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+def _between(ends: Array, share: float) -> Array:
     """The place at a share of the way from the first to the second end, (n,)."""
     return np.asarray(ends[:, 0] + share * (ends[:, 1] - ends[:, 0]))
 
 
-def _multipliers_times_corners(sides: Sides, edges: NDArray[np.int64],
-                               length: NDArray[np.float64]) -> sparse.csr_matrix:
+def _multipliers_times_corners(sides: Sides, edges: IntArray, length: Array) -> sparse.csr_matrix:
     """Integral of N of an edge's one end, against the multiplier 1 of the other: half the length, both ways."""
     a, b = sides.near_edges[edges].T
     n = len(sides.near_nodes)
@@ -225,7 +221,7 @@ def _multipliers_times_corners(sides: Sides, edges: NDArray[np.int64],
     return sparse.csr_matrix((np.concatenate([half, half]), (rows, columns)), shape=(n, n))
 
 
-def _corners(sides: Sides, edges: NDArray[np.int64], far: NDArray[np.int64]) -> sparse.csr_matrix:
+def _corners(sides: Sides, edges: IntArray, far: IntArray) -> sparse.csr_matrix:
     """1 where a near node at which the line of near edges ends or bends is one of far nodes, (n_near, n_far)."""
     lines = _lines(sides.near_nodes, sides.near_edges[edges])
     direction = lines.along / lines.length[:, None]

@@ -1,18 +1,16 @@
 """Nodes chosen by name or by box."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from difflib import get_close_matches
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import IntArray
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 
 
-def find_named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
+def find_named_nodes(mesh: Mesh, name: str) -> IntArray:
     """Look up a node set: sorted numbers of its nodes.
 
     Raises InputError where the mesh has no such set, with the nearest name, or where the set is empty.
@@ -27,7 +25,7 @@ def find_named_nodes(mesh: Mesh, name: str) -> NDArray[np.int64]:
     return mesh.node_sets[name]
 
 
-def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> NDArray[np.int64]:
+def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> IntArray:
     """Find the nodes in a closed box, its lowest corner, then its highest, pixels; sorted.
 
     Raises InputError where the box holds no node.

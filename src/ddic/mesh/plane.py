@@ -6,19 +6,20 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ddic.arrays import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-def build_rotation(angle: float) -> NDArray[np.float64]:
+def build_rotation(angle: float) -> Array:
     """Build the matrix R that turns a vector v of the plane to R v, from x towards y by an angle in radians."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
 
-def multiply_across(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def multiply_across(a: Array, b: Array) -> Array:
     """Multiply vectors of the plane across: a_x b_y - a_y b_x, twice the area of the triangle that they span.
 
     Positive where b lies to the side of +y from a along +x. Both are (..., 2), of shapes that broadcast.
@@ -28,7 +29,7 @@ def multiply_across(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[n
     return np.asarray(ax * by - ay * bx)
 
 
-def build_tree(points: NDArray[np.float64]) -> cKDTree:
+def build_tree(points: Array) -> cKDTree:
     """Build the tree that finds the nearest of some points, (n, 2)."""
     # Here, for it brings a tenth of a second of scipy's imports, and most ranks and many runs do without.
     from scipy.spatial import cKDTree
@@ -36,15 +37,13 @@ def build_tree(points: NDArray[np.float64]) -> cKDTree:
     return cKDTree(points)
 
 
-Array = NDArray[np.float64]
-
 
 def measure_distance(points: Array, line: Array) -> Array:
     """Measure the distance of points, (n, 2), from the nearest place on a polyline, (n_vertices, 2), pixels."""
     return find_nearest_segments(points, line)[1]
 
 
-def find_nearest_segments(points: Array, line: Array) -> tuple[NDArray[np.int64], Array]:
+def find_nearest_segments(points: Array, line: Array) -> tuple[IntArray, Array]:
     """Find the number of the polyline's segment nearest to each point, (n,), and the distance from it, (n,), pixels."""
     nearest = np.zeros(len(points), dtype=np.int64)
     least = np.full(len(points), np.inf)
@@ -68,14 +67,14 @@ def subdivide(line: Array, longest: float) -> Array:
     return np.concatenate(vertices)
 
 
-def find_runs(is_kept: NDArray[np.bool_]) -> list[slice]:
+def find_runs(is_kept: BoolArray) -> list[slice]:
     """Find the runs of two or more successive vertices that are kept."""
     changes = np.flatnonzero(np.diff(np.concatenate([[False], is_kept, [False]])))
     runs = [slice(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
     return [run for run in runs if run.stop - run.start > 1]
 
 
-def is_inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
+def is_inside_polygon(points: Array, polygon: Array) -> BoolArray:
     """Tell which points lie in a polygon, which need not be convex, by the parity of its edges to the right of them.
 
     Its corners, (n_corners, 2), are closed by themselves.

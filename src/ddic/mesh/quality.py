@@ -3,17 +3,15 @@
 Areas of what cells cover: of whole cells, or of parts on one side of a discontinuity.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 
 
-def measure_areas(mesh: Mesh) -> NDArray[np.float64]:
+def measure_areas(mesh: Mesh) -> Array:
     """Measure the cells by the shoelace formula in (x, y): signed areas, square pixels."""
     points = _corners(mesh)
     # Relative to the first corner, so that far from the origin no digits are lost.
@@ -26,7 +24,7 @@ def measure_cell_size(mesh: Mesh) -> float:
     return float(np.sqrt(measure_areas(mesh).mean()))
 
 
-def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
+def measure_shape_quality(mesh: Mesh) -> Array:
     """Find the smallest sine of each cell's corner angles.
 
     It is 1 for a rectangle, <= 0 for a cell that is not convex or runs negatively.
@@ -40,20 +38,20 @@ def measure_shape_quality(mesh: Mesh) -> NDArray[np.float64]:
     return np.asarray(sines.min(axis=1, initial=np.inf))
 
 
-def _corners(mesh: Mesh) -> NDArray[np.float64]:
+def _corners(mesh: Mesh) -> Array:
     """Coordinates of the cells' nodes, (n_cells, widest cell, 2); padding repeats the first corner."""
     first = mesh.cells[:, :1]
     cells = np.where(mesh.cells < 0, first, mesh.cells)
     return np.asarray(mesh.nodes[cells])
 
 
-def _next_corner(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _next_corner(points: Array) -> Array:
     """The corner after each one."""
     # The last corner is followed by padding, which repeats the first, or by the first itself.
     return np.roll(points, -1, axis=1)
 
 
-def _previous_corner(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _previous_corner(mesh: Mesh, points: Array) -> Array:
     """The corner before each one."""
     counts = np.diff(mesh.offsets)
     previous = np.roll(points, 1, axis=1)
@@ -61,8 +59,6 @@ def _previous_corner(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.floa
     previous[:, 0] = points[np.arange(len(points)), counts - 1]
     return previous
 
-
-Array = NDArray[np.float64]
 
 
 def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:

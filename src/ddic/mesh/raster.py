@@ -6,8 +6,6 @@ Both neighbours of an edge compute its crossings from the same two nodes in the 
 the same floating-point number, hence share no pixel and leave none.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.window import Window
 from ddic.mesh.mesh import Mesh
 
@@ -38,18 +37,18 @@ class Raster:
         Half-open columns of each run (may be empty).
     """
 
-    first_row: NDArray[np.int64]
-    row_ptr: NDArray[np.int64]
+    first_row: IntArray
+    row_ptr: IntArray
     starts: NDArray[np.int32]
     stops: NDArray[np.int32]
 
     @cached_property
-    def pixel_counts(self) -> NDArray[np.int64]:
+    def pixel_counts(self) -> IntArray:
         """Number of pixels of each cell, (n_cells,)."""
         return self._sum_by_cell(self.stops - self.starts)
 
     @property
-    def rows(self) -> NDArray[np.int64]:
+    def rows(self) -> IntArray:
         """Image row of each run, (n_runs,)."""
         n_rows = np.diff(self.row_ptr)
         shift = np.repeat(self.first_row - self.row_ptr[:-1], n_rows)
@@ -73,7 +72,7 @@ class Raster:
         _fill_ones(rows[inside], np.clip(self.starts, 0, width)[inside], np.clip(self.stops, 0, width)[inside], covered)
         return covered
 
-    def draw_cells(self, cells: NDArray[np.int64], window: Window) -> NDArray[np.uint8]:
+    def draw_cells(self, cells: IntArray, window: Window) -> NDArray[np.uint8]:
         """Draw the pixels of some cells in a window that holds all pixels of the mesh: 1 there, 0 elsewhere."""
         runs, rows, _ = self.find_runs(cells)
         filled = self.stops[runs] > self.starts[runs]
@@ -82,7 +81,7 @@ class Raster:
         _fill_ones(rows - window.y0, self.starts[runs] - window.x0, self.stops[runs] - window.x0, drawn)
         return drawn
 
-    def find_runs(self, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    def find_runs(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         """Find the runs of some cells: numbers, image rows and cells of the runs, (n_runs,) each."""
         n_rows = np.diff(self.row_ptr)[cells]
         row_of_cell = np.arange(n_rows.sum()) - np.repeat(np.cumsum(n_rows) - n_rows, n_rows)
@@ -120,7 +119,7 @@ def rasterize(mesh: Mesh) -> Raster:
     return Raster(first_row, row_ptr, starts, stops)
 
 
-def find_crossings(ends: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def find_crossings(ends: Array) -> tuple[IntArray, IntArray, IntArray]:
     """Find where sides of cells, (n_sides, 2 ends, 2), pixels, cross the rows of an image.
 
     Gives side, row and column of each crossing; the column is the first pixel behind it, the very one with which
@@ -195,7 +194,7 @@ def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
         image[rows[k], starts[k]:stops[k]] = 1
 
 
-def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def list_pixels(raster: Raster, cells: IntArray) -> tuple[IntArray, IntArray]:
     """List the pixels of some cells, columns and rows, (n, 2), and the cell of each, (n,)."""
     runs, row_of_run, cell_of_run = raster.find_runs(cells)
     lengths = (raster.stops[runs] - raster.starts[runs]).astype(np.int64)
@@ -205,7 +204,7 @@ def list_pixels(raster: Raster, cells: NDArray[np.int64]) -> tuple[NDArray[np.in
     return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)
 
 
-def find_common_pixels(pixels: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+def find_common_pixels(pixels: IntArray, others: IntArray) -> BoolArray:
     """Tell which pixels, columns and rows, (n, 2), are among others."""
     both = np.concatenate([pixels, others])
     if not len(both):

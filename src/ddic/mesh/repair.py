@@ -3,11 +3,10 @@
 How cells meet: side to side and each place once, or a displacement would tear there or be counted twice.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError, list_first
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
@@ -48,7 +47,7 @@ def check_inside(mesh: Mesh, width: int, height: int) -> None:
         f"{height - 0.5}); correct the region, or mesh.mapping (scale, rotation, translation)")
 
 
-def check_pixels(mesh: Mesh, pixel_counts: NDArray[np.int64], path: str) -> None:
+def check_pixels(mesh: Mesh, pixel_counts: IntArray, path: str) -> None:
     """Refuse a mesh with cells that hold no pixel centre; raises InputError, whose message names ``path``."""
     empty = np.flatnonzero(np.asarray(pixel_counts) == 0)
     if len(empty):
@@ -104,7 +103,7 @@ def _refuse_bad_cells(mesh: Mesh) -> None:
         raise InputError(problems)
 
 
-def _duplicates(ordered: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _duplicates(ordered: IntArray) -> BoolArray:
     """Which rows equal an earlier row."""
     # Stable: of equal rows the earliest comes first.
     order = np.lexsort(ordered.T[::-1])
@@ -115,7 +114,7 @@ def _duplicates(ordered: NDArray[np.int64]) -> NDArray[np.bool_]:
     return duplicate
 
 
-def _cells(numbers: NDArray[np.int64]) -> str:
+def _cells(numbers: IntArray) -> str:
     """How many cells, and the first of them."""
     return f"{len(numbers)} cells (numbered from 0: {list_first(numbers)})"
 
@@ -156,7 +155,7 @@ def check_joints(mesh: Mesh) -> None:
         raise InputError(problems)
 
 
-def _find_hanging_nodes(mesh: Mesh, facets: Facets) -> NDArray[np.int64]:
+def _find_hanging_nodes(mesh: Mesh, facets: Facets) -> IntArray:
     """Nodes at the mesh's edge inside a side there that is not theirs."""
     sides = facets.nodes[facets.n_cells == 1][:, :2]
     nodes = np.unique(sides)
@@ -170,8 +169,7 @@ def _find_hanging_nodes(mesh: Mesh, facets: Facets) -> NDArray[np.int64]:
     return np.asarray(np.unique(found[is_inside]))
 
 
-def _measure_place(points: NDArray[np.float64],
-                   sides: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _measure_place(points: Array, sides: Array) -> tuple[Array, Array]:
     """Places of points along sides and off them, over the sides' lengths."""
     squares = (sides**2).sum(axis=1)
     along = (points * sides).sum(axis=1) / squares
@@ -179,7 +177,7 @@ def _measure_place(points: NDArray[np.float64],
     return along, off
 
 
-def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> NDArray[np.int64]:
+def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> IntArray:
     """Cells of which others hold more than SHARED of the pixels."""
     if not _is_covered_twice(mesh, facets):
         return np.zeros(0, np.int64)
@@ -220,7 +218,7 @@ def _count_cells_of_pixels(raster: Raster) -> NDArray[np.int32]:
     return np.asarray(np.cumsum(changes, axis=1, dtype=np.int32)[:, :-1])
 
 
-def _list_places(points: NDArray[np.float64]) -> str:
+def _list_places(points: Array) -> str:
     """The first places."""
     listed = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in points[:3])
     return listed + (", ..." if len(points) > 3 else "")

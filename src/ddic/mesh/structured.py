@@ -3,16 +3,14 @@
 Rounding of the staircase that cells removed from a grid leave around a hole.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.holes import CircularHole, Hole, OutlinedHole, PolygonalHole
@@ -32,11 +30,10 @@ MOST_CANDIDATES = 4
 BISECTIONS = 50
 """Steps that find where a side meets an outline, each of which halves the error: 50 reach a double's rounding."""
 
-Cells = NDArray[np.int64]
+Cells = IntArray
 
 
-def chop_corners(quads: Cells, members: Sequence[Cells], nodes: NDArray[np.float64],
-                 holes: Sequence[Hole]) -> tuple[Cells, Cells]:
+def chop_corners(quads: Cells, members: Sequence[Cells], nodes: Array, holes: Sequence[Hole]) -> tuple[Cells, Cells]:
     """Cut off the corners that stick out into a hole: such a rectangle becomes a triangle.
 
     A node that belongs to one cell only and lies on a hole, as do both its neighbours in the cell, would become a
@@ -64,9 +61,9 @@ def chop_corners(quads: Cells, members: Sequence[Cells], nodes: NDArray[np.float
     return quads, np.concatenate(triangles)
 
 
-def snap_to_holes(nodes: NDArray[np.float64], quads: Cells, triangles: Cells, members: Sequence[Cells],
+def snap_to_holes(nodes: Array, quads: Cells, triangles: Cells, members: Sequence[Cells],
                   holes: Sequence[Hole], region: Sequence[float],
-                  ) -> tuple[NDArray[np.float64], list[Cells]]:
+                  ) -> tuple[Array, list[Cells]]:
     """Move the nodes around each hole onto its outline where the cells stay convex and well shaped.
 
     Nodes on a side of the region (x0, y0, x1, y1) slide along it; its four corners stay. Where a cell would become too
@@ -89,8 +86,8 @@ def snap_to_holes(nodes: NDArray[np.float64], quads: Cells, triangles: Cells, me
 class _Snapping:
     """Nodes where they were and where they go, (n_nodes, 2) each, their cells, and the region (x0, y0, x1, y1)."""
 
-    nodes: NDArray[np.float64]
-    target: NDArray[np.float64]
+    nodes: Array
+    target: Array
     cells: tuple[Cells, Cells]
     region: Sequence[float]
 
@@ -100,7 +97,7 @@ def _take_corners(snapping: _Snapping, member: Cells, hole: Hole) -> None:
     nodes, target = snapping.nodes, snapping.target
     x0, y0, x1, y1 = snapping.region
 
-    def is_inside(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_inside(points: Array) -> BoolArray:
         return np.asarray(((points > [x0, y0]) & (points < [x1, y1])).all(axis=1))
 
     # Nodes on a side of the region stay on it.
@@ -115,7 +112,7 @@ def _take_corners(snapping: _Snapping, member: Cells, hole: Hole) -> None:
         free = free[free != chosen]
 
 
-def _measure_worst(snapping: _Snapping, node: int, place: NDArray[np.float64]) -> float:
+def _measure_worst(snapping: _Snapping, node: int, place: Array) -> float:
     """Smallest sine in the cells around a node, were it to go to a place."""
     moved = snapping.target.copy()
     moved[node] = place
@@ -123,7 +120,7 @@ def _measure_worst(snapping: _Snapping, node: int, place: NDArray[np.float64]) -
     return float(measure_shape_quality(build_mesh(moved, {Q4: quads, T3: triangles})).min(initial=np.inf))
 
 
-def _nearest_hole(members: list[Cells], nodes: NDArray[np.float64], holes: Sequence[Hole]) -> list[Cells]:
+def _nearest_hole(members: list[Cells], nodes: Array, holes: Sequence[Hole]) -> list[Cells]:
     """Give nodes that several holes touch to the hole whose outline is nearest."""
     if not holes:
         return []
@@ -134,7 +131,7 @@ def _nearest_hole(members: list[Cells], nodes: NDArray[np.float64], holes: Seque
     return [member[owner[member] == k] for k, member in enumerate(members)]
 
 
-def _on_outline(points: NDArray[np.float64], hole: Hole, region: Sequence[float]) -> NDArray[np.float64]:
+def _on_outline(points: Array, hole: Hole, region: Sequence[float]) -> Array:
     """Nearest points of the outline; for points on a side of the region, along that side."""
     x0, y0, x1, y1 = region
     moved = hole.find_nearest(points)
@@ -147,7 +144,7 @@ def _on_outline(points: NDArray[np.float64], hole: Hole, region: Sequence[float]
     return np.clip(moved, [x0, y0], [x1, y1])
 
 
-def _along_axis(points: NDArray[np.float64], hole: Hole, axis: int) -> NDArray[np.float64]:
+def _along_axis(points: Array, hole: Hole, axis: int) -> Array:
     """Slide points along an axis onto the outline, by bisection; those that cannot get there stay."""
     direction = np.zeros(2)
     direction[axis] = 1.0
@@ -166,8 +163,7 @@ def _along_axis(points: NDArray[np.float64], hole: Hole, axis: int) -> NDArray[n
     return np.where(bracketed[:, None], (low + high) / 2, points)
 
 
-def _move_carefully(nodes: NDArray[np.float64], target: NDArray[np.float64], quads: Cells,
-                    triangles: Cells) -> NDArray[np.float64]:
+def _move_carefully(nodes: Array, target: Array, quads: Cells, triangles: Cells) -> Array:
     """Move nodes towards their targets as far as all cells keep their shape."""
     fraction = np.ones(len(nodes))
     fraction[(target == nodes).all(axis=1)] = 0.0
@@ -197,17 +193,17 @@ class Grid:
         Of the vertical and of the horizontal lines, pixels.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
+    x: Array
+    y: Array
 
     @property
-    def nodes(self) -> NDArray[np.float64]:
+    def nodes(self) -> Array:
         """Crossings of the lines, row by row, ((n_rows + 1) (n_columns + 1), 2), pixels."""
         x, y = np.meshgrid(self.x, self.y)
         return np.column_stack([x.ravel(), y.ravel()])
 
     @property
-    def quads(self) -> NDArray[np.int64]:
+    def quads(self) -> IntArray:
         """Nodes of the rectangles, row by row, (n_rows n_columns, 4)."""
         wide = len(self.x)
         rows, columns = np.meshgrid(np.arange(len(self.y) - 1), np.arange(wide - 1), indexing="ij")
@@ -215,14 +211,14 @@ class Grid:
         return np.column_stack([first, first + 1, first + wide + 1, first + wide]).astype(np.int64)
 
     @property
-    def centroids(self) -> NDArray[np.float64]:
+    def centroids(self) -> Array:
         """Centres of the rectangles, row by row, (n_rows n_columns, 2), pixels."""
         between_x = (self.x[1:] + self.x[:-1]) / 2
         between_y = (self.y[1:] + self.y[:-1]) / 2
         return Grid(between_x, between_y).nodes
 
     @property
-    def sides(self) -> dict[str, NDArray[np.int64]]:
+    def sides(self) -> dict[str, IntArray]:
         """Nodes on the sides; y points down, so that top is where y is smallest."""
         numbers = np.arange(len(self.x) * len(self.y), dtype=np.int64).reshape(len(self.y), len(self.x))
         return {"left": numbers[:, 0], "right": numbers[:, -1], "top": numbers[0], "bottom": numbers[-1]}
@@ -230,8 +226,8 @@ class Grid:
 
 def build_structured_mesh(region: Sequence[float], element_size: float, cell: Literal["Q4", "T3"] = "Q4",
                     circles: Sequence[tuple[tuple[float, float], float]] = (),
-                    polygons: Sequence[NDArray[np.float64] | OutlinedHole] = (),
-                    mask: NDArray[np.bool_] | None = None) -> Mesh:
+                    polygons: Sequence[Array | OutlinedHole] = (),
+                    mask: BoolArray | None = None) -> Mesh:
     """Mesh a rectangle by regular cells that cover it exactly.
 
     A cell is removed if its centre lies in a hole, then the nodes around the hole are moved onto its outline; where the
@@ -283,8 +279,7 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
     return mesh.create_submesh(np.arange(mesh.n_cells))[0]
 
 
-def _refuse_impossible(region: Sequence[float], element_size: float, cell: str,
-                       mask: NDArray[np.bool_] | None) -> None:
+def _refuse_impossible(region: Sequence[float], element_size: float, cell: str, mask: BoolArray | None) -> None:
     """Refuse arguments of which no mesh can be made; case files say them with types and ranges of their own."""
     given = f"mesh.structured: region = {region}, element_size = {element_size}"
     numbers = np.asarray([*region, element_size])
@@ -322,8 +317,7 @@ def _fit_grid(region: Sequence[float], element_size: float) -> Grid:
     return Grid(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
 
 
-def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],
-                mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _kept_cells(grid: Grid, in_holes: Sequence[BoolArray], mask: BoolArray | None) -> BoolArray:
     """Cells in no hole and in the mask."""
     kept = np.ones(len(grid.quads), dtype=bool)
     for inside in in_holes:
@@ -335,7 +329,7 @@ def _kept_cells(grid: Grid, in_holes: Sequence[NDArray[np.bool_]],
     return kept
 
 
-def _cells_in_hole(grid: Grid, hole: Hole, number: int) -> NDArray[np.bool_]:
+def _cells_in_hole(grid: Grid, hole: Hole, number: int) -> BoolArray:
     """Cells whose centres lie in a hole."""
     inside = hole.measure_distance(grid.centroids) < 0
     # What a mask leaves out may be smaller than a cell; a hole that was asked for may not.
@@ -345,7 +339,7 @@ def _cells_in_hole(grid: Grid, hole: Hole, number: int) -> NDArray[np.bool_]:
     return np.asarray(inside)
 
 
-def _cells_in_mask(grid: Grid, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _cells_in_mask(grid: Grid, mask: BoolArray) -> BoolArray:
     """Cells with at least half of their pixel centres in the mask; outside of it counts as False."""
     width = mask.shape[1]
     # Half-open cells, x <= centre < x', give every pixel centre to exactly one cell.
@@ -361,7 +355,7 @@ def _cells_in_mask(grid: Grid, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return kept.ravel()
 
 
-def _split_quads(quads: NDArray[np.int64], wide: int) -> NDArray[np.int64]:
+def _split_quads(quads: IntArray, wide: int) -> IntArray:
     """Split rectangles into triangles; the diagonals alternate like the fields of a chessboard."""
     row, column = np.divmod(quads[:, 0], wide)
     even = (row + column) % 2 == 0

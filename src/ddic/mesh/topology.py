@@ -5,15 +5,13 @@ Nodes that regularization leaves free: loaded and clamped edges, where forces ar
 Corners of cells, each with its neighbours along the cell's edges.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.node_selection import find_named_nodes, find_nodes_in_box
@@ -33,13 +31,13 @@ class Facets:
         Which sides run through their facet's nodes the other way round.
     """
 
-    nodes: NDArray[np.int64]
-    side_facets: NDArray[np.int64]
-    side_cells: NDArray[np.int64]
-    run_backwards: NDArray[np.bool_]
+    nodes: IntArray
+    side_facets: IntArray
+    side_cells: IntArray
+    run_backwards: BoolArray
 
     @cached_property
-    def n_cells(self) -> NDArray[np.int64]:
+    def n_cells(self) -> IntArray:
         """Number of cells on each facet, (n_facets,)."""
         return np.bincount(self.side_facets, minlength=len(self.nodes)).astype(np.int64)
 
@@ -52,19 +50,19 @@ def find_facets(mesh: Mesh) -> Facets:
     return Facets(sides[first], numbers, cells, sides[:, 0] != sides[first[numbers], 0])
 
 
-def find_boundary_facets(mesh: Mesh) -> NDArray[np.int64]:
+def find_boundary_facets(mesh: Mesh) -> IntArray:
     """Find the facets that belong to exactly one cell: their nodes in the cell's order, padded with -1."""
     found = find_facets(mesh)
     return np.asarray(found.nodes[found.n_cells == 1])
 
 
-def find_boundary_nodes(mesh: Mesh) -> NDArray[np.int64]:
+def find_boundary_nodes(mesh: Mesh) -> IntArray:
     """Find the nodes on facets that belong to exactly one cell, sorted."""
     nodes = np.unique(find_boundary_facets(mesh))
     return nodes[nodes >= 0]
 
 
-def find_named_facets(mesh: Mesh, name: str) -> NDArray[np.int64]:
+def find_named_facets(mesh: Mesh, name: str) -> IntArray:
     """Find the boundary facets whose nodes all belong to a node set: their nodes, padded with -1.
 
     Raises InputError where the mesh has no node set of that name.
@@ -75,7 +73,7 @@ def find_named_facets(mesh: Mesh, name: str) -> NDArray[np.int64]:
     return np.asarray(outer[members.all(axis=1)])
 
 
-def find_adjacent_cells(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_adjacent_cells(mesh: Mesh) -> tuple[IntArray, IntArray]:
     """Find the graph of the cells that share a facet, as compressed sorted rows without loops.
 
     Gives indptr and indices: the neighbours of cell e are indices[indptr[e]:indptr[e + 1]].
@@ -98,7 +96,7 @@ def find_adjacent_cells(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64
     return indptr.astype(np.int64), columns.astype(np.int64)
 
 
-def _sides(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sides(mesh: Mesh) -> tuple[IntArray, IntArray]:
     """Nodes of every side of every cell, padded with -1, and the cell of each."""
     width = max((len(facet) for block in mesh.cell_blocks for facet in block.type.facets), default=0)
     sides, cells = [np.zeros((0, width), np.int64)], [np.zeros(0, np.int64)]
@@ -111,7 +109,7 @@ def _sides(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.concatenate(sides), np.concatenate(cells)
 
 
-def _distinct_rows(rows: NDArray[np.int64], n_nodes: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _distinct_rows(rows: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
     """Number the distinct rows: (first row of each, number of each row).
 
     One-dimensional keys sort many times faster than numpy.unique(axis=0).
@@ -132,7 +130,7 @@ def _distinct_rows(rows: NDArray[np.int64], n_nodes: int) -> tuple[NDArray[np.in
     return first, keys
 
 
-def _sort(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+def _sort(keys: IntArray) -> IntArray:
     """Order of numbers from 0 on, of equal ones the first first: by 16 bits at a time, which numpy counts."""
     order = np.argsort(keys.astype(np.uint16), kind="stable")
     for shift in range(16, int(keys.max()).bit_length(), 16):
@@ -145,7 +143,7 @@ BOUNDARY = "boundary"
 
 
 def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[Sequence[float]],
-                         boundary: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+                         boundary: IntArray | None = None) -> IntArray:
     """Find the nodes that are not mechanically controlled, by node sets or "boundary", and by boxes; sorted.
 
     Boxes are (x0, y0, x1, y1), pixels. ``boundary`` are the nodes of the boundary, by default those on facets of one
@@ -182,10 +180,10 @@ class Corners:
         The cell's nodes after and before it.
     """
 
-    cells: NDArray[np.int64]
-    nodes: NDArray[np.int64]
-    ahead: NDArray[np.int64]
-    behind: NDArray[np.int64]
+    cells: IntArray
+    nodes: IntArray
+    ahead: IntArray
+    behind: IntArray
 
 
 def list_corners(mesh: Mesh) -> Corners:

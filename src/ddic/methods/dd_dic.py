@@ -3,8 +3,6 @@
 Gauss-Newton on one frame, with operators and grey levels that fit what the frame shows of the specimen.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Self
 

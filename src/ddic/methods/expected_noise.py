@@ -1,12 +1,10 @@
 """Noise that a case's displacement is expected to carry, computed on one domain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import BoolArray
 from ddic.case.schema import Case, SolverSection
 from ddic.inputs.cameras import open_cameras
 from ddic.inputs.inputs import Inputs
@@ -20,7 +18,7 @@ from ddic.solvers.local_system import MonolithicStep
 from ddic.solvers.probing import estimate_noise_rms
 
 
-def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
+def expected_noise(case: Case, sigma: float, nodes: BoolArray) -> float:
     """Predict the RMS displacement noise per component over chosen nodes, pixels, on one rank.
 
     Covariance 2 sigma^2 A^-1 M A^-1 with A = M + eta Kbar^T Kbar of the whole region. The case has absolute paths and
@@ -34,7 +32,7 @@ def expected_noise(case: Case, sigma: float, nodes: NDArray[np.bool_]) -> float:
     return estimate_nodal_noise(inputs, sigma, nodes)
 
 
-def estimate_nodal_noise(inputs: Inputs, sigma: float, nodes: NDArray[np.bool_] | None = None) -> float:
+def estimate_nodal_noise(inputs: Inputs, sigma: float, nodes: BoolArray | None = None) -> float:
     """Predict the RMS displacement noise per component of images and a mesh in memory, pixels, on one rank.
 
     Inputs are of one camera; ``sigma`` is the standard deviation of the camera noise of both images, grey levels.

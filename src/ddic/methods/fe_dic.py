@@ -1,7 +1,5 @@
 """FE-DIC and R-DIC of a case: the method of cases that ask for no other one."""
 
-from __future__ import annotations
-
 from ddic.case.schema import Case
 from ddic.check.case import check_on_mesh, check_ranks_of_subdomains
 from ddic.inputs.cameras import Frame

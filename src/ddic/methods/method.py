@@ -3,8 +3,6 @@
 ``METHODS`` in ``ddic.case.methods`` names the module of each; its guide adds one.
 """
 
-from __future__ import annotations
-
 from typing import Any, Protocol, Self
 
 from ddic.case.loader import LoadedCase

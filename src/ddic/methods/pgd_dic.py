@@ -1,7 +1,5 @@
 """PGD-DIC: successive rank-one corrections of a displacement that is a sum of products, Fig. 2 of [PP12]."""
 
-from __future__ import annotations
-
 from typing import Self
 
 from ddic.case.loader import LoadedCase

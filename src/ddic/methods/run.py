@@ -3,8 +3,6 @@
 Of a pair: inputs opened, field measured, result and summary written.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ddic.case.loader import LoadedCase

@@ -4,8 +4,6 @@ Each frame is started from those before it; one that cannot be measured does not
 folder as it is finished; at the end they are joined to one result file.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Mapping, Sequence

@@ -11,9 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ddic.arrays import Array
 from ddic.case.named_files import list_times
 from ddic.errors import ConvergenceError, DdicError, SingularSubdomainError, is_collective
 from ddic.inputs.cameras import Frame
@@ -28,8 +26,6 @@ from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement, place_at_nodes
 from ddic.results.series import FrameRecord, Vertices
-
-Array = NDArray[np.float64]
 
 N_STATES = 2
 """Frames from which the next one is extrapolated."""

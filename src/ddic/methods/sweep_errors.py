@@ -3,14 +3,12 @@
 Errors of measured fields are predicted from the residuals and the degrees of freedom of all of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError
 from ddic.functionals.regularization import Material
 from ddic.functionals.texture import measure_gap
@@ -21,8 +19,6 @@ from ddic.results.measurement import Measurement
 from ddic.results.publishing import gather
 from ddic.results.sweep import Candidate, Trial
 from ddic.solvers.probing import estimate_degrees_of_freedom, estimate_response
-
-Array = NDArray[np.float64]
 
 N_POINTS = 20_000
 """Places at which errors are taken: with some thousand independent ones among them a few per cent of each error, alike

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.functionals.noise_transfer import build_white_transfer
 from ddic.functionals.regularization import Material
 from ddic.images.binned import ArraySource
@@ -27,8 +28,6 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
 from ddic.results.sweep import Trial
 from ddic.synth.virtual_image import fill_displacement, render_virtual_image
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +121,7 @@ class VirtualFrames:
         # As much along x as along y.
         return float(table.find(measured.displacement[is_known])[:, 0].mean())
 
-    def measure_gradient(self, points: NDArray[np.float64]) -> float:
+    def measure_gradient(self, points: Array) -> float:
         """Measure the mean square of the reference image's gradient at the pixels next to points, (n, 2); collective.
 
         Both components together, grey levels squared per square pixel.

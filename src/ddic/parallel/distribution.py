@@ -4,15 +4,13 @@ Items of all ranks are brought to rank 0 one by one, so that it never holds all 
 several subdomains share, the same on all of them, and over bands of rows that are spread over ranks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -23,7 +21,7 @@ HALVINGS = 60
 change nothing."""
 
 
-def split_evenly(costs: NDArray[np.float64], n_ranks: int) -> list[range]:
+def split_evenly(costs: Array, n_ranks: int) -> list[range]:
     """Split subdomains into contiguous ranges, one a rank, whose largest cost, in any unit, is the least possible.
 
     Within that, ranges are as equal as they can be from the first on. Raises InputError where a rank would get none.
@@ -51,13 +49,13 @@ def split_evenly(costs: NDArray[np.float64], n_ranks: int) -> list[range]:
     return ranges
 
 
-def _furthest(before: NDArray[np.float64], limit: float) -> NDArray[np.int64]:
+def _furthest(before: Array, limit: float) -> IntArray:
     """Return where a range that begins at each subdomain ends at the latest, (n_subdomains,)."""
     ends = np.searchsorted(before, before[:-1] + limit, side="right") - 1
     return np.asarray(np.maximum(ends, np.arange(1, len(before))), dtype=np.int64)
 
 
-def _smallest_limit(before: NDArray[np.float64], low: float, n_ranks: int) -> float:
+def _smallest_limit(before: Array, low: float, n_ranks: int) -> float:
     """Return the smallest largest cost of n_ranks ranges; low: cost of the largest subdomain, which is never more."""
     high = float(before[-1])
     for _ in range(HALVINGS):
@@ -72,8 +70,7 @@ def _smallest_limit(before: NDArray[np.float64], low: float, n_ranks: int) -> fl
     return high
 
 
-def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], NDArray[np.float64]]],
-                       ) -> list[Subdomain]:
+def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], Array]], ) -> list[Subdomain]:
     """Build all subdomains on rank 0 and give each rank its own, in their order; collective.
 
     ``build`` runs on rank 0 alone and returns all subdomains and the work of each, (n_subdomains,). Raises InputError
@@ -138,8 +135,6 @@ def _receive(team: Team, rank: int) -> list[Any]:
     return message
 
 
-Array = NDArray[np.float64]
-
 
 def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence[Array]) -> list[Array]:
     """Sum values at nodes, (n_nodes, k) of each owned subdomain, over all subdomains that have them; collective.
@@ -169,7 +164,7 @@ def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence
     return result
 
 
-def _add_up(received: dict[int, tuple[NDArray[np.int64], NDArray[np.int64], Array]]) -> dict[int, Array]:
+def _add_up(received: dict[int, tuple[IntArray, IntArray, Array]]) -> dict[int, Array]:
     """Sums for each rank that sent (nodes, subdomains, values), in the order in which it sent its own."""
     if not received:
         return {}

@@ -11,12 +11,11 @@ from functools import reduce
 from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 R = TypeVar("R")
 

@@ -3,8 +3,6 @@
 Images that can only be decoded whole: once a node, for all of its ranks.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import tempfile

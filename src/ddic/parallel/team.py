@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import DdicError, as_collective
 from ddic.parallel.stop_request import StopRequest
 
@@ -84,7 +84,7 @@ class Waiting:
 
 
 T = TypeVar("T")
-Summable = TypeVar("Summable", int, float, NDArray[np.float64])
+Summable = TypeVar("Summable", int, float, Array)
 
 _SENT, _EXCHANGED = 1, 2
 """Tags that keep apart items sent one by one and those of an exchange."""
@@ -214,7 +214,7 @@ class Team:
 
     # --------------------------------------------------------------------------------------------------- sums, numbers
 
-    def ordered_sum(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    def ordered_sum(self, values: Sequence[Array]) -> Array:
         """Sum one array per owned subdomain, all of one shape, over all subdomains, in their order.
 
         The sum is that of all ranks and does not depend, to the last bit, on how subdomains are spread over ranks.

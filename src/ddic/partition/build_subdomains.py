@@ -1,12 +1,10 @@
 """Which subdomains share which unknowns, and the numbering of interface rows (C_s, Cbar_s)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import BoolArray, IntArray
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
@@ -28,18 +26,18 @@ class Sharing:
         Number of subdomains at each thing.
     """
 
-    numbers: NDArray[np.int64]
-    subdomains: NDArray[np.int64]
-    multiplicity: NDArray[np.int64]
+    numbers: IntArray
+    subdomains: IntArray
+    multiplicity: IntArray
 
     @property
-    def position(self) -> NDArray[np.int64]:
+    def position(self) -> IntArray:
         """Place of each copy among those of its thing, from 0, (n_copies,)."""
         first = np.cumsum(self.multiplicity) - self.multiplicity
         return np.asarray(np.arange(len(self.numbers)) - first[self.numbers])
 
     @property
-    def lowest(self) -> NDArray[np.int64]:
+    def lowest(self) -> IntArray:
         """Lowest subdomain of each thing, (n_things,)."""
         lowest = np.zeros(len(self.multiplicity), dtype=np.int64)
         is_first = self.position == 0
@@ -59,13 +57,13 @@ class Chains:
         How many belong to each subdomain.
     """
 
-    first_row: NDArray[np.int64]
-    first_copy: NDArray[np.int64]
-    owned_rows: NDArray[np.int64]
-    owned_copies: NDArray[np.int64]
+    first_row: IntArray
+    first_copy: IntArray
+    owned_rows: IntArray
+    owned_copies: IntArray
 
 
-def share_nodes(mesh: Mesh, parts: NDArray[np.int64]) -> Sharing:
+def share_nodes(mesh: Mesh, parts: IntArray) -> Sharing:
     """Find which subdomains share each node of the whole mesh.
 
     ``parts`` is the subdomain of each cell, from 0 without gaps.
@@ -80,7 +78,7 @@ def share_unknowns(nodes: Sharing, kinematics: RegionKinematics) -> Sharing:
     return _share(unknowns, np.repeat(nodes.subdomains, counts), kinematics.n_unknowns)
 
 
-def _share(numbers: NDArray[np.int64], subdomains: NDArray[np.int64], n_things: int) -> Sharing:
+def _share(numbers: IntArray, subdomains: IntArray, n_things: int) -> Sharing:
     """Pairs of a thing and a subdomain, each once, sorted by thing and then by subdomain."""
     n_subdomains = int(subdomains.max()) + 1
     pairs = np.unique(numbers * n_subdomains + subdomains)
@@ -88,7 +86,7 @@ def _share(numbers: NDArray[np.int64], subdomains: NDArray[np.int64], n_things: 
     return Sharing(things, of_things, np.bincount(things, minlength=n_things))
 
 
-def number_chains(sharing: Sharing, has_row: NDArray[np.bool_], n_subdomains: int) -> Chains:
+def number_chains(sharing: Sharing, has_row: BoolArray, n_subdomains: int) -> Chains:
     """Number rows and copies of jumps and reactions by owner, kind and unknown.
 
     ``sharing`` is that of the unknowns; ``has_row`` says whether Kbar has a row for each, (n_unknowns,).
@@ -114,9 +112,9 @@ def number_chains(sharing: Sharing, has_row: NDArray[np.bool_], n_subdomains: in
     return Chains(first_row, first_copy, owned_rows.astype(np.int64), owned_copies.astype(np.int64))
 
 
-def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], controlled: NDArray[np.bool_],
-                     interior: NDArray[np.bool_] | None = None,
-                     has_row: NDArray[np.bool_] | None = None) -> list[Subdomain]:
+def build_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: BoolArray,
+                     interior: BoolArray | None = None,
+                     has_row: BoolArray | None = None) -> list[Subdomain]:
     """Cut a mesh and its unknowns into self-contained subdomains, all of them, by number.
 
     ``parts`` is the subdomain of each cell, 0 to n - 1 without gaps; ``controlled`` says whether each unknown's
@@ -157,8 +155,8 @@ def build_subdomains(kinematics: RegionKinematics, parts: NDArray[np.int64], con
     return subdomains
 
 
-def _cut_interface(chains: Chains, kind: int, numbers: NDArray[np.int64], multiplicity: NDArray[np.int64],
-                   position: NDArray[np.int64]) -> Interface:
+def _cut_interface(chains: Chains, kind: int, numbers: IntArray, multiplicity: IntArray,
+                   position: IntArray) -> Interface:
     """The chains of one kind at a subdomain's unknowns, each (n,): numbers, sharing subdomains, place in the chain."""
     first_row = chains.first_row[kind, numbers]
     at = np.flatnonzero(first_row >= 0)
@@ -166,7 +164,7 @@ def _cut_interface(chains: Chains, kind: int, numbers: NDArray[np.int64], multip
                      first_copy=chains.first_copy[kind, numbers[at]])
 
 
-def _group_by(labels: NDArray[np.int64], n_groups: int) -> list[NDArray[np.int64]]:
+def _group_by(labels: IntArray, n_groups: int) -> list[IntArray]:
     """Sorted places of each label, 0 to n_groups - 1."""
     order = np.argsort(labels, kind="stable")
     ends = np.cumsum(np.bincount(labels, minlength=n_groups))

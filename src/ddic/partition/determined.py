@@ -3,15 +3,13 @@
 A partition in which every subdomain's pixels determine the displacements on both sides of a discontinuity.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.kinematics.enriched import EnrichedRegion
 from ddic.mesh.cut_mesh import CutMesh
@@ -24,7 +22,7 @@ LEAST = 0.1
 the texture by which a master's displacement is held there. A larger value moves more cells."""
 
 
-def keep_masters_determined(mesh: Mesh, tying: Tying, parts: NDArray[np.int64]) -> NDArray[np.int64]:
+def keep_masters_determined(mesh: Mesh, tying: Tying, parts: IntArray) -> IntArray:
     """Move cells with slaves from subdomains that have too few of them to a neighbour of the same near mesh.
 
     A subdomain's masters are unknowns there, which nothing but its slaves holds: with fewer slaves than masters, where
@@ -55,7 +53,7 @@ def keep_masters_determined(mesh: Mesh, tying: Tying, parts: NDArray[np.int64]) 
         determined.discard(target)
 
 
-def _cells_with_slaves(mesh: Mesh, tying: Tying) -> tuple[NDArray[np.int64], sparse.csr_matrix]:
+def _cells_with_slaves(mesh: Mesh, tying: Tying) -> tuple[IntArray, sparse.csr_matrix]:
     """Cells that have slaves, (n,), and 1 at the slaves of each of them, (n, n_nodes)."""
     owner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     is_slave = mesh.connectivity >= tying.n_unknown_nodes
@@ -97,11 +95,11 @@ class CutSides:
 
     cut: CutMesh
     kinematics: EnrichedRegion
-    corner_weights: NDArray[np.float64]
-    around_tips: tuple[NDArray[np.int64], ...] = ()
+    corner_weights: Array
+    around_tips: tuple[IntArray, ...] = ()
 
 
-def keep_cameras_determined(sides: CutSides, cameras: NDArray[np.int64]) -> NDArray[np.int64]:
+def keep_cameras_determined(sides: CutSides, cameras: IntArray) -> IntArray:
     """Give the first camera the cells that only together with another camera's determine the sides of a discontinuity.
 
     Cameras are those of each cell of the mesh that was cut, (n_cells,); the first one, 0, sees them all.
@@ -121,8 +119,7 @@ def keep_cameras_determined(sides: CutSides, cameras: NDArray[np.int64]) -> NDAr
     return kept
 
 
-def keep_sides_determined(sides: CutSides, cameras: NDArray[np.int64],
-                          parts: NDArray[np.int64]) -> NDArray[np.int64]:
+def keep_sides_determined(sides: CutSides, cameras: IntArray, parts: IntArray) -> IntArray:
     """Keep cells along a discontinuity together that determine only together what is on its sides.
 
     A subdomain with a node takes part in the unknowns of those that lead it, phantom or not: without pixels there, its
@@ -154,7 +151,7 @@ def _list_cells_with_needs(needs: sparse.csr_matrix) -> list[int]:
     return [int(cell) for cell in np.flatnonzero(np.diff(needs.indptr))]
 
 
-def _find_enough(pixels: sparse.csr_matrix, total: NDArray[np.float64]) -> sparse.csr_matrix:
+def _find_enough(pixels: sparse.csr_matrix, total: Array) -> sparse.csr_matrix:
     """1 where a cell has pixels enough of a node, both (n_cells, n_nodes)."""
     seen = pixels.tocoo()
     enough = seen.data >= LEAST_SHARE * total[seen.col]
@@ -162,7 +159,7 @@ def _find_enough(pixels: sparse.csr_matrix, total: NDArray[np.float64]) -> spars
 
 
 def _choose_hosts(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cell: int,
-                  may_be_host: NDArray[np.bool_]) -> list[int]:
+                  may_be_host: BoolArray) -> list[int]:
     """As few cells as together see enough of the nodes that a cell needs and does not see enough of itself."""
     missing = needs - needs.multiply(sees_enough[[cell]])
     hosts = []

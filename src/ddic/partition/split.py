@@ -4,17 +4,15 @@ What a cell costs is the weight by which the mesh is cut and subdomains are deal
 camera, and the partition keeps cameras apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pymetis
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
@@ -35,7 +33,7 @@ MOST_BISECTED = 8
 """Most subdomains that are found by repeated halving, as METIS's manual advises for few parts; more are cut at once."""
 
 
-def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
+def split_by_metis(mesh: Mesh, n_subdomains: int, weights: Array | None = None) -> IntArray:
     """Split by METIS on the graph of cells that share a facet; what it leaves empty gets a cell of the largest part.
 
     Gives the subdomain of each cell. ``weights``, of any scale, are balanced, by default the number of cells. Raises
@@ -57,7 +55,7 @@ def split_by_metis(mesh: Mesh, n_subdomains: int, weights: NDArray[np.float64] |
     return _fill_empty(np.asarray(parts, dtype=np.int64), n_subdomains, (indptr, indices))
 
 
-def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:
+def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> IntArray:
     """Split into a regular array of blocks of the bounding box, by the cells' centroids.
 
     Gives the subdomain of each cell. ``blocks`` are counted along each axis; those that hold no cell are dropped.
@@ -73,14 +71,13 @@ def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> NDArray[np.int64]:
     return renumber(number)
 
 
-def renumber(parts: NDArray[np.int64]) -> NDArray[np.int64]:
+def renumber(parts: IntArray) -> IntArray:
     """Number the subdomains of the cells, (n_cells,), 0, 1, ... without gaps, in the old order."""
     _, places = np.unique(parts, return_inverse=True)
     return np.asarray(places, dtype=np.int64).reshape(-1)
 
 
-def _fill_empty(parts: NDArray[np.int64], n_subdomains: int,
-                adjacent: tuple[NDArray[np.int64], NDArray[np.int64]]) -> NDArray[np.int64]:
+def _fill_empty(parts: IntArray, n_subdomains: int, adjacent: tuple[IntArray, IntArray]) -> IntArray:
     """Give each subdomain without cells that cell of the largest one which has fewest neighbours there.
 
     METIS leaves some empty where there are few cells for each.
@@ -97,7 +94,7 @@ def _fill_empty(parts: NDArray[np.int64], n_subdomains: int,
     return filled
 
 
-def _whole_weights(weights: NDArray[np.float64]) -> NDArray[np.int64]:
+def _whole_weights(weights: Array) -> IntArray:
     """Weights as whole numbers of at least 1: METIS knows no others."""
     unit = max(float(np.mean(weights)) / MEAN_WEIGHT, float(np.sum(weights)) / LARGEST_SUM)
     if unit <= 0:
@@ -110,7 +107,7 @@ NODE_PIXELS = 1000.0
 residuals, the image that is written): bench/cell_costs.py. A larger value balances nodes rather than pixels."""
 
 
-def estimate_cell_costs(mesh: Mesh) -> NDArray[np.float64]:
+def estimate_cell_costs(mesh: Mesh) -> Array:
     """Estimate the work that each cell brings: its pixels', and its share of its nodes', in units of a pixel's.
 
     Nodes at the edge are taken for inner ones, so that equal cells have equal weights and METIS cuts a regular mesh
@@ -122,16 +119,16 @@ def estimate_cell_costs(mesh: Mesh) -> NDArray[np.float64]:
     return np.asarray(rasterize(mesh).pixel_counts + NODE_PIXELS * own_nodes)
 
 
-def sum_costs(costs: NDArray[np.float64], parts: NDArray[np.int64]) -> NDArray[np.float64]:
+def sum_costs(costs: Array, parts: IntArray) -> Array:
     """Add up the work of each subdomain, (n_subdomains,), from the work and the subdomain of each cell."""
     return np.asarray(np.bincount(parts, weights=costs), dtype=np.float64)
 
 
-Adjacency = tuple[NDArray[np.int64], NDArray[np.int64]]
+Adjacency = tuple[IntArray, IntArray]
 """Cells that share a facet, as compressed rows (indptr, indices): ``find_adjacent_cells``."""
 
 
-def find_connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
+def find_connected_pieces(adjacency: Adjacency) -> IntArray:
     """Find the pieces of a mesh whose cells facets connect: the piece of each cell, from 0.
 
     A node alone is a hinge: mechanics do not hold one piece by another at it.
@@ -144,8 +141,7 @@ def find_connected_pieces(adjacency: Adjacency) -> NDArray[np.int64]:
     return np.asarray(pieces, dtype=np.int64)
 
 
-def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: Adjacency,
-                blank: NDArray[np.bool_]) -> NDArray[np.int64]:
+def merge_blank(pieces: IntArray, owner: IntArray, adjacency: Adjacency, blank: BoolArray) -> IntArray:
     """Join every connected group of blank pieces with the textured one that shares most facets with it.
 
     A group without a textured neighbour (a piece of the mesh by itself) stays as it is. Of neighbours with equally many
@@ -174,7 +170,7 @@ def merge_blank(pieces: NDArray[np.int64], owner: NDArray[np.int64], adjacency: 
     return renumber(owner_of_piece[pieces])
 
 
-def _count_shared_facets(pieces: NDArray[np.int64], adjacency: Adjacency, n_pieces: int) -> sparse.csr_matrix:
+def _count_shared_facets(pieces: IntArray, adjacency: Adjacency, n_pieces: int) -> sparse.csr_matrix:
     """Number of facets that each two different pieces share, (n_pieces, n_pieces)."""
     indptr, indices = adjacency
     # Each pair of adjacent cells: the piece of one, the piece of the other.
@@ -187,11 +183,11 @@ def _count_shared_facets(pieces: NDArray[np.int64], adjacency: Adjacency, n_piec
     return sparse.csr_matrix((ones, pairs), shape=(n_pieces, n_pieces))
 
 
-SplitInto = Callable[[NDArray[np.int64], int], NDArray[np.int64]]
+SplitInto = Callable[[IntArray, int], IntArray]
 """From the cells of a camera and a number of subdomains to the subdomain of each of these cells."""
 
 
-def assign_cameras(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.int64]:
+def assign_cameras(mesh: Mesh, seen: Sequence[BoolArray]) -> IntArray:
     """Assign each cell to the first near camera that sees all its nodes, else to the first of all cameras.
 
     ``seen`` says for each near camera whether it sees each node of the whole mesh, (n_nodes,). Cameras count from 0.
@@ -205,8 +201,8 @@ def assign_cameras(mesh: Mesh, seen: Sequence[NDArray[np.bool_]]) -> NDArray[np.
     return labels
 
 
-def find_cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
-                          weights: sparse.csr_matrix | None = None) -> NDArray[np.bool_]:
+def find_cameras_at_nodes(mesh: Mesh, labels: IntArray, n_cameras: int,
+                          weights: sparse.csr_matrix | None = None) -> BoolArray:
     """Find the cameras that measure a cell at each node, (n_nodes, n_cameras), from the camera of each cell.
 
     ``weights``, (n_nodes, n_unknown_nodes), are for where some nodes are tied to others: then the cells of a node are
@@ -222,8 +218,7 @@ def find_cameras_at_nodes(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int,
     return np.asarray(n_tied > 0)
 
 
-def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_subdomains: int,
-                    split: SplitInto) -> NDArray[np.int64]:
+def split_by_camera(labels: IntArray, costs: Array, n_subdomains: int, split: SplitInto) -> IntArray:
     """Split each camera's cells by themselves, into subdomains of about equal cost; the first camera's come first.
 
     Gives the subdomain of each cell, from its camera and its work; ``n_subdomains`` are all of them, and ``split``
@@ -244,7 +239,7 @@ def split_by_camera(labels: NDArray[np.int64], costs: NDArray[np.float64], n_sub
     return parts
 
 
-def keep_cameras_apart(parts: NDArray[np.int64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+def keep_cameras_apart(parts: IntArray, labels: IntArray) -> IntArray:
     """Cut the subdomains of a given partition where the camera changes.
 
     From the subdomain and the camera of each cell to its new subdomain, numbered by camera without gaps.
@@ -279,7 +274,7 @@ def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motio
     return with_motion
 
 
-def _apportion(work: NDArray[np.float64], total: int, most: Sequence[int]) -> list[int]:
+def _apportion(work: Array, total: int, most: Sequence[int]) -> list[int]:
     """Whole numbers from 1 to ``most`` that add up to ``total``, so that the largest work a piece is least."""
     limits = np.asarray(most)
     counts = np.ones(len(work), dtype=np.int64)

@@ -3,15 +3,13 @@
 Signed incidence of a subdomain's interface unknowns in the chains' rows, plain and scaled.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.mesh import Mesh
 
@@ -40,11 +38,11 @@ class Interface:
         Numbers of each chain's first row and of its first copy; the others follow.
     """
 
-    unknowns: NDArray[np.int64]
-    multiplicity: NDArray[np.int64]
-    position: NDArray[np.int64]
-    first_row: NDArray[np.int64]
-    first_copy: NDArray[np.int64]
+    unknowns: IntArray
+    multiplicity: IntArray
+    position: IntArray
+    first_row: IntArray
+    first_copy: IntArray
 
 
 @dataclass(frozen=True)
@@ -63,8 +61,8 @@ class MotionUnknowns:
         Whether they belong to this subdomain.
     """
 
-    numbers: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    numbers: IntArray
+    rows: IntArray
     n_subdomains: int
     owned: bool
 
@@ -103,13 +101,13 @@ class Subdomain:
 
     index: int
     mesh: Mesh
-    node_ids: NDArray[np.int64]
-    cell_ids: NDArray[np.int64]
+    node_ids: IntArray
+    cell_ids: IntArray
     kinematics: Kinematics
-    controlled: NDArray[np.bool_]
-    interior: NDArray[np.bool_]
-    node_multiplicity: NDArray[np.int64]
-    multiplicity: NDArray[np.int64]
+    controlled: BoolArray
+    interior: BoolArray
+    node_multiplicity: IntArray
+    multiplicity: IntArray
     jumps: Interface
     reactions: Interface
     n_owned_rows: int
@@ -133,13 +131,13 @@ class Subdomain:
         return self.n_field + self.n_motion
 
     @property
-    def numbers(self) -> NDArray[np.int64]:
+    def numbers(self) -> IntArray:
         """Numbers of all its unknowns in the whole problem, (n_unknowns,)."""
         field = self.kinematics.numbers
         return field if self.motion is None else np.concatenate([field, self.motion.numbers])
 
     @property
-    def all_multiplicity(self) -> NDArray[np.int64]:
+    def all_multiplicity(self) -> IntArray:
         """Number of subdomains that share each of its unknowns, (n_unknowns,)."""
         if self.motion is None:
             return self.multiplicity
@@ -147,7 +145,7 @@ class Subdomain:
         return np.concatenate([self.multiplicity, of_motion])
 
     @property
-    def owned(self) -> NDArray[np.bool_]:
+    def owned(self) -> BoolArray:
         """Whether each unknown belongs to this subdomain, the lowest of those that share it, (n_unknowns,)."""
         owned = np.ones(self.n_unknowns, dtype=bool)
         owned[self.jumps.unknowns[self.jumps.position > 0]] = False
@@ -155,7 +153,7 @@ class Subdomain:
             owned[self.n_field:] = self.motion.owned
         return owned
 
-    def displacement(self, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, unknowns: Array) -> Array:
         """Displace the mesh's nodes in the specimen's frame, (mesh.n_dofs,), node by node, pixels.
 
         ``unknowns`` are those of the field; those of a motion after them do not matter.
@@ -163,7 +161,7 @@ class Subdomain:
         return self.kinematics.displacement(unknowns[:self.n_field])
 
 
-def interface_weights(multiplicity: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:
+def interface_weights(multiplicity: IntArray, weighting: Weighting) -> Array:
     """Weigh the interface rows of Kbar_s and of Cbar_s^T, from the multiplicity of each unknown, (n_field,).
 
     "consistent": sqrt(m), which makes the decomposed solution the one-domain solution. "paper": 1, which makes it that
@@ -174,11 +172,11 @@ def interface_weights(multiplicity: NDArray[np.int64], weighting: Weighting) -> 
     return np.sqrt(multiplicity.astype(np.float64))
 
 
-Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+Entries = tuple[IntArray, IntArray, Array]
 """Of a sparse matrix: numbers of rows, columns, values; each (n_entries,)."""
 
 
-def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> sparse.csc_matrix:
+def signed_incidence(interface: Interface, row_index: IntArray) -> sparse.csc_matrix:
     """Build B_s: +1 on the row that a copy opens, -1 on the row that it closes.
 
     (n_rows, n interface unknowns); ``row_index`` are the sorted numbers of the rows that there are here.
@@ -196,8 +194,8 @@ def signed_incidence(interface: Interface, row_index: NDArray[np.int64]) -> spar
     return _build_matrix(interface, row_index, (rows, columns, signs))
 
 
-def scaled_incidence(interface: Interface, weights: NDArray[np.float64], weight_index: NDArray[np.int64],
-                     row_index: NDArray[np.int64]) -> sparse.csc_matrix:
+def scaled_incidence(interface: Interface, weights: Array, weight_index: IntArray,
+                     row_index: IntArray) -> sparse.csc_matrix:
     """Build the columns of (B D^-1 B^T)^-1 B D^-1 that belong to one subdomain, (n_rows, n interface unknowns).
 
     With D = diag(weights) the transpose sends jumps v to the copies' displacements w of least D-norm with B w = v. On a
@@ -216,8 +214,7 @@ def scaled_incidence(interface: Interface, weights: NDArray[np.float64], weight_
     return _build_matrix(interface, row_index, (rows, columns, values))
 
 
-def _scaled_entries(interface: Interface, members: NDArray[np.int64], weights: NDArray[np.float64],
-                    weight_index: NDArray[np.int64]) -> Entries:
+def _scaled_entries(interface: Interface, members: IntArray, weights: Array, weight_index: IntArray) -> Entries:
     """Entries at those interface unknowns, given by place, that are on chains of one length."""
     n_copies = int(interface.multiplicity[members[0]])
     n_rows = n_copies - 1
@@ -233,7 +230,7 @@ def _scaled_entries(interface: Interface, members: NDArray[np.int64], weights: N
     return rows.ravel(), columns, values.ravel()
 
 
-def _build_matrix(interface: Interface, row_index: NDArray[np.int64], entries: Entries) -> sparse.csc_matrix:
+def _build_matrix(interface: Interface, row_index: IntArray, entries: Entries) -> sparse.csc_matrix:
     """From entries by number of row to a matrix of the rows that there are here.
 
     By columns, of which a subdomain has few: rows are those of all subdomains of a rank.
@@ -244,17 +241,17 @@ def _build_matrix(interface: Interface, row_index: NDArray[np.int64], entries: E
     return sparse.csc_matrix((values, (places, columns)), shape=shape)
 
 
-def rows_of(interface: Interface) -> NDArray[np.int64]:
+def rows_of(interface: Interface) -> IntArray:
     """List the rows of all chains that a subdomain is part of, by number, chain after chain."""
     return _count_from(interface.first_row, interface.multiplicity - 1)
 
 
-def copies_of(interface: Interface) -> NDArray[np.int64]:
+def copies_of(interface: Interface) -> IntArray:
     """List the copies of all chains that a subdomain is part of, by number, chain after chain."""
     return _count_from(interface.first_copy, interface.multiplicity)
 
 
-def _count_from(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def _count_from(first: IntArray, counts: IntArray) -> IntArray:
     """Counts of numbers from each first one on, one sequence after the other."""
     ends = np.cumsum(counts)
     starts = ends - counts

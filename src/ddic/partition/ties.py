@@ -4,16 +4,14 @@ First where near meshes touch what they leave of the far mesh, and whether they 
 of all, and how its nodes are tied.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError, list_first
 from ddic.mesh.interpolation import find_cells_with_points, is_inside_outline
 from ddic.mesh.mesh import Mesh
@@ -43,11 +41,11 @@ class FarSide:
     """
 
     whole: Mesh
-    replaced_by: NDArray[np.int64]
+    replaced_by: IntArray
     tolerance: float
 
     @cached_property
-    def kept_cells(self) -> NDArray[np.int64]:
+    def kept_cells(self) -> IntArray:
         """Numbers of the cells that are kept, (n_kept,)."""
         return np.flatnonzero(self.replaced_by == 0)
 
@@ -57,12 +55,12 @@ class FarSide:
         return self.whole.create_submesh(self.kept_cells)[0]
 
     @cached_property
-    def node_ids(self) -> NDArray[np.int64]:
+    def node_ids(self) -> IntArray:
         """Numbers in the whole far mesh of the nodes of the rest, (rest.n_nodes,)."""
         return self.whole.create_submesh(self.kept_cells)[1]
 
     @cached_property
-    def edges(self) -> NDArray[np.int64]:
+    def edges(self) -> IntArray:
         """Boundary of the rest, by its nodes, (n_edges, 2)."""
         return _boundary_edges(self.rest)
 
@@ -87,17 +85,17 @@ class NearSide:
 
     number: int
     mesh: Mesh
-    edges: NDArray[np.int64]
+    edges: IntArray
     overlaps: Overlaps
     mortar: Mortar
 
     @cached_property
-    def cover(self) -> NDArray[np.float64]:
+    def cover(self) -> Array:
         """Share of each edge that far edges cover, (n_edges,)."""
         return self.overlaps.measure_near_cover(len(self.edges))
 
     @property
-    def free_edges(self) -> NDArray[np.int64]:
+    def free_edges(self) -> IntArray:
         """Edges that touch no far cell, by nodes, (n, 2)."""
         return self.edges[self.cover <= COVERED]
 
@@ -118,7 +116,7 @@ class Contact:
     near: tuple[NearSide, ...]
 
     @cached_property
-    def far_cover(self) -> NDArray[np.float64]:
+    def far_cover(self) -> Array:
         """Share of each far edge that near edges cover, (n_edges,)."""
         n_edges = len(self.far.edges)
         by_mesh = [near.overlaps.measure_far_cover(n_edges) for near in self.near]
@@ -138,7 +136,7 @@ def find_contact(far: Mesh, near: Mapping[int, Mesh]) -> Contact:
     return Contact(far_side, tuple(_find_near_side(far_side, number, mesh) for number, mesh in near.items()))
 
 
-def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> NDArray[np.int64]:
+def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> IntArray:
     """Number of the near camera whose mesh covers the centre of each far cell, (n_cells,), 0 for none."""
     replaced_by = np.zeros(far.n_cells, dtype=np.int64)
     for number, mesh in near.items():
@@ -155,7 +153,7 @@ def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> NDArray[np.int6
     return replaced_by
 
 
-def _refuse_neighbours(far: Mesh, replaced_by: NDArray[np.int64]) -> None:
+def _refuse_neighbours(far: Mesh, replaced_by: IntArray) -> None:
     """Raise InputError where two near meshes would have a boundary in common."""
     facets = find_facets(far)
     n_facets = len(facets.nodes)
@@ -182,7 +180,7 @@ def _find_near_side(far: FarSide, number: int, mesh: Mesh) -> NearSide:
     return NearSide(number, mesh, edges, overlaps, integrate_mortar(sides, overlaps))
 
 
-def _boundary_edges(mesh: Mesh) -> NDArray[np.int64]:
+def _boundary_edges(mesh: Mesh) -> IntArray:
     """Edges of one cell, by the nodes of their ends, (n, 2)."""
     return np.asarray(find_boundary_facets(mesh)[:, :2])
 
@@ -226,7 +224,7 @@ def _refuse_cut_cells(contact: Contact) -> None:
         raise InputError(problems)
 
 
-def _find_cut_cells(far: FarSide, near: NearSide) -> NDArray[np.int64]:
+def _find_cut_cells(far: FarSide, near: NearSide) -> IntArray:
     """Kept far cells that hold points of a near edge which should touch nothing; numbers in the whole far mesh."""
     ends = near.mesh.nodes[near.free_edges]
     midpoints = ends.mean(axis=1)
@@ -235,7 +233,7 @@ def _find_cut_cells(far: FarSide, near: NearSide) -> NDArray[np.int64]:
     return far.kept_cells[found]
 
 
-def _cells_beside_gap(contact: Contact) -> NDArray[np.int64]:
+def _cells_beside_gap(contact: Contact) -> IntArray:
     """Far cells at edges between a kept and a replaced cell that no near edge covers; sorted numbers."""
     far = contact.far
     facets = find_facets(far.whole)
@@ -245,7 +243,7 @@ def _cells_beside_gap(contact: Contact) -> NDArray[np.int64]:
     return np.asarray(np.unique(facets.side_cells[is_at_gap]))
 
 
-def _inner_facets_among(facets: Facets, edges: NDArray[np.int64]) -> NDArray[np.int64]:
+def _inner_facets_among(facets: Facets, edges: IntArray) -> IntArray:
     """Facets of several cells that are among edges given by their nodes, (n, 2)."""
     inner = np.flatnonzero(facets.n_cells > 1)
     nodes = facets.nodes[:, :2]
@@ -256,14 +254,14 @@ def _inner_facets_among(facets: Facets, edges: NDArray[np.int64]) -> NDArray[np.
     return np.asarray(inner[np.isin(numbers, wanted)], dtype=np.int64)
 
 
-def _covered_in_part(cover: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _covered_in_part(cover: Array) -> BoolArray:
     """Whether an edge is covered neither not at all nor once, (n_edges,)."""
     is_covered = cover > COVERED
     is_whole = np.abs(cover - 1.0) <= COVERED
     return np.asarray(is_covered & ~is_whole)
 
 
-def _first_midpoint(mesh: Mesh, edges: NDArray[np.int64]) -> NDArray[np.float64]:
+def _first_midpoint(mesh: Mesh, edges: IntArray) -> Array:
     """Midpoint of the first of some edges, (2,)."""
     return np.asarray(mesh.nodes[edges[0]].mean(axis=0))
 
@@ -283,8 +281,8 @@ class Tying:
         last nodes are near ones tied to far ones.
     """
 
-    cameras: NDArray[np.int64]
-    boundary: NDArray[np.int64]
+    cameras: IntArray
+    boundary: IntArray
     weights: sparse.csr_matrix
 
     @property
@@ -315,7 +313,7 @@ def tie_meshes(far: Mesh, near: Mapping[int, Mesh]) -> tuple[Mesh, Tying]:
 class _Numbering:
     """Numbers of nodes in the mesh of all: far ones, then free near ones, then slaves; by mesh, the far one first."""
 
-    of_mesh: list[NDArray[np.int64]]
+    of_mesh: list[IntArray]
     n_unknown: int
     n_nodes: int
 
@@ -344,7 +342,7 @@ def _put_together(meshes: Sequence[Mesh], numbering: _Numbering) -> Mesh:
     first = meshes[0]
     nodes = np.empty((numbering.n_nodes, first.dim))
     connectivity = []
-    named_nodes: dict[str, list[NDArray[np.int64]]] = {}
+    named_nodes: dict[str, list[IntArray]] = {}
     for mesh, numbers in zip(meshes, numbering.of_mesh, strict=True):
         nodes[numbers] = mesh.nodes
         connectivity.append(numbers[mesh.connectivity])
@@ -357,7 +355,7 @@ def _put_together(meshes: Sequence[Mesh], numbering: _Numbering) -> Mesh:
     return Mesh(nodes, np.concatenate(connectivity), offsets, types, node_sets, first.mapping)
 
 
-def _find_boundary(contact: Contact, numbering: _Numbering) -> NDArray[np.int64]:
+def _find_boundary(contact: Contact, numbering: _Numbering) -> IntArray:
     """Sorted nodes on edges that touch no other mesh."""
     far_numbers, *near_numbers = numbering.of_mesh
     free_far_edges = contact.far.edges[contact.far_cover < COVERED]

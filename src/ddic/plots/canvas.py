@@ -5,8 +5,6 @@ known. Pages grow above what is on them already: for which frame of a series the
 fields that did not converge, so that none is taken for a result. Places on a picture have numbered marks.
 """
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Sequence
@@ -23,15 +21,13 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from matplotlib.tri import Triangulation
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
-
-Array = NDArray[np.float64]
 
 POINTS_AN_INCH = 72.0
 

@@ -6,8 +6,6 @@ uncertainty against the size of the elements [RRH07], [RHR08]; displacement and 
 noise leaves in them; a sweep over cut-off wavelengths and element sizes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
@@ -20,14 +18,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import interpolate
 from ddic.plots.canvas import COLOURS, PIXELS, LengthUnit
 from ddic.separated.field import SeparatedField
-
-Array = NDArray[np.float64]
 
 STYLES = (("-", "o"), ("--", "s"), ("-.", "^"), (":", "v"))
 """Lines and markers: a history of one value is a point."""

@@ -5,8 +5,6 @@ fields (Fig. 10), the deformed mesh (Fig. 9), and an image thinned out to what a
 in the unit that is drawn.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +16,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
@@ -36,8 +35,6 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
 from ddic.plots import canvas
 from ddic.plots.canvas import PIXELS, Bounds, Component, LengthUnit, Limits
-
-Array = NDArray[np.float64]
 
 
 def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
@@ -238,7 +235,7 @@ def draw_outlines(axes: Axes, outlined: Sequence[Mesh]) -> None:
     axes.set_facecolor("0.6")
 
 
-def find_points_inside(points: Array, box: Bounds) -> NDArray[np.bool_]:
+def find_points_inside(points: Array, box: Bounds) -> BoolArray:
     """Tell which points (n, 2) lie in a box, (n,)."""
     low, high = box[:2], box[2:]
     is_inside = (points >= low) & (points <= high)

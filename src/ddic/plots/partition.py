@@ -3,8 +3,6 @@
 A mesh over the reference image, before anything is measured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,15 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 from ddic.plots import canvas
 from ddic.plots.canvas import PIXELS, LengthUnit
 from ddic.plots.maps import Preview, make_figure_over
-
-Array = NDArray[np.float64]
 
 PALETTE = np.array([[0.902, 0.624, 0.0], [0.337, 0.706, 0.914], [0.0, 0.620, 0.451], [0.941, 0.894, 0.259],
                     [0.0, 0.447, 0.698], [0.835, 0.369, 0.0], [0.800, 0.475, 0.655]])
@@ -60,7 +56,7 @@ def draw_partition(result: Result, image: Preview | None = None, unit: LengthUni
     return figure
 
 
-def choose_colours(mesh: Mesh, subdomain_ids: NDArray[np.int64]) -> NDArray[np.int64]:
+def choose_colours(mesh: Mesh, subdomain_ids: IntArray) -> IntArray:
     """Choose a colour for each subdomain, another one than those of its neighbours as far as there are enough.
 
     Rows of PALETTE, (largest subdomain + 1,).
@@ -85,7 +81,7 @@ def choose_colours(mesh: Mesh, subdomain_ids: NDArray[np.int64]) -> NDArray[np.i
     return chosen
 
 
-def _draw_box(mesh: Mesh, nodes: Array, cells: NDArray[np.int64], colour: Array) -> Rectangle:
+def _draw_box(mesh: Mesh, nodes: Array, cells: IntArray, colour: Array) -> Rectangle:
     """The bounding box of a subdomain's cells."""
     of_cells = mesh.cells[cells]
     corners = nodes[of_cells[of_cells >= 0]]

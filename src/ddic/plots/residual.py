@@ -3,8 +3,6 @@
 How residuals and grey levels are distributed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

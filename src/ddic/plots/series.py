@@ -3,8 +3,6 @@
 Pages that are shown one after the other, as GIF or MP4.
 """
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -15,16 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from PIL import Image
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.series_reader import SeriesHistory
 from ddic.plots import canvas
 from ddic.plots.canvas import PIXELS, LengthUnit
-
-Array = NDArray[np.float64]
 
 PAGE_INCHES = (7.0, 9.6)
 BLUE, ORANGE = "tab:blue", "tab:orange"

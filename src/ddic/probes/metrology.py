@@ -8,17 +8,15 @@ that equilibrium leaves of a wave of that direction and m the spectrum of the el
 that of the noise floor; only its shape is modelled.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from ddic.arrays import Array, IntArray
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.mesh.cell_type import T3
@@ -26,8 +24,6 @@ from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.quality import measure_covered_areas
 from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge
 from ddic.probes.read_probe import list_samples
-
-Array = NDArray[np.float64]
 
 ORDERS = {"equilibrium_gap": 4, "tikhonov": 2}
 """Power of wavelength with which a regularization fades: fourth of the equilibrium gap, second of Tikhonov's term."""
@@ -130,7 +126,7 @@ def evaluate_sinc(x: Array) -> Array:
     return np.asarray(np.sinc(x / np.pi))
 
 
-def find_chain(result: Result, cells: NDArray[np.int64]) -> DisplacementChain:
+def find_chain(result: Result, cells: IntArray) -> DisplacementChain:
     """Find the elements and the regularization of a result, with the mean spacing of the nodes of some cells.
 
     Those are the cells about which is asked, all where ``cells`` is empty.
@@ -144,7 +140,7 @@ def find_chain(result: Result, cells: NDArray[np.int64]) -> DisplacementChain:
                              ORDERS[str(section.get("operator", "equilibrium_gap"))])
 
 
-def _find_spacing(result: Result, cells: NDArray[np.int64]) -> float:
+def _find_spacing(result: Result, cells: IntArray) -> float:
     """Mean spacing of nodes: the root of a square's area, or of two triangles'."""
     if result.separated is not None:
         axes = (result.separated.along_x.nodes, result.separated.along_y.nodes)

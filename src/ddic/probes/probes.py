@@ -3,8 +3,6 @@
 Probes as they are written: in a TOML file, or as numbers between commas.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -12,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io.input_file import as_path
 from ddic.io.text_files import parse_toml, read_text
 
-Array = NDArray[np.float64]
 Place = tuple[float, float]
 
 MOST_PLACES = 100_000

@@ -1,15 +1,13 @@
 """What probes read on a measured field."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.fracture.opening import get_lines
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
@@ -17,7 +15,6 @@ from ddic.kinematics.strain import compute_green_lagrange, compute_hencky, compu
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge
 
-Array = NDArray[np.float64]
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
 
 MOST_SAMPLES = 64
@@ -175,7 +172,7 @@ def _compute_strain(gradient: Array, measure: Measure) -> Array:
     return green_lagrange if measure == "green-lagrange" else compute_hencky(green_lagrange)
 
 
-def _describe_places(result: Result, cells: NDArray[np.int64], displacement: Array, more: str = "") -> str:
+def _describe_places(result: Result, cells: IntArray, displacement: Array, more: str = "") -> str:
     """Why displacements are nan at some places or doubtful, and what else there is to say; empty where nothing is."""
     missing = np.isnan(displacement).any(axis=1)
     outside = missing & (cells < 0)

@@ -3,8 +3,6 @@
 Whole fields as tables: a row for each node or cell, a column for each component.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
 from ddic.io.result_reader import Result
@@ -146,7 +145,7 @@ def format_number(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.{N_DIGITS}g}"
 
 
-def average_along(values: NDArray[np.float64]) -> float:
+def average_along(values: Array) -> float:
     """Average over the places of a probe at which there is a value; nan where there is none at all."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else math.nan
@@ -187,7 +186,7 @@ def list_field_tables(path: Path) -> tuple[Path, Path]:
     return nodes, cells
 
 
-def _list_columns(result: Result, what: str, places: NDArray[np.float64],
+def _list_columns(result: Result, what: str, places: Array,
                   data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Columns by their header: number, place, then all fields; numbers of nodes and cells are those of the file."""
     numbers = data[schema.GLOBAL_NODE_ID if what == "node" else schema.GLOBAL_CELL_ID]

@@ -1,14 +1,12 @@
 """Local systems of all owned subdomains: M_s, Kbar_s, P and eta, from the reference images alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray
 from ddic.case.schema import RegularizationSection
 from ddic.errors import InputError, as_collective
 from ddic.functionals.regularization import (
@@ -26,8 +24,6 @@ from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.region_mesh import ProbeWaves, Region, build_material
 from ddic.problem.views import Hessians, project_hessians, weigh_cameras
 from ddic.solvers.local_system import LocalSystem
-
-Array = NDArray[np.float64]
 
 SINGULAR = 1e-9
 """An operator whose lowest eigenvalue is below this share of the mean diagonal of M is singular: a
@@ -95,7 +91,7 @@ def assemble(team: Team, reference: ReferenceProblem, weights: Sequence[float], 
     return Assembly(systems, eta, mean_diagonal, edge_weight)
 
 
-def weigh_rows(controlled: NDArray[np.bool_], edge_weight: float) -> Array:
+def weigh_rows(controlled: BoolArray, edge_weight: float) -> Array:
     """Give the diagonal of P, Eq. 9 of [BP17]: how much the equilibrium of each unknown counts, small at edges."""
     return np.where(controlled, 1.0, edge_weight)
 

@@ -1,7 +1,5 @@
 """Which linear step is fastest for a case that leaves it open (``solver.method = "auto"``)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from math import ceil

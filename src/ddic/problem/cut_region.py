@@ -1,13 +1,11 @@
 """The mesh and its unknowns where the case's discontinuities cut it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.functionals.line_band import weigh_corners
@@ -41,16 +39,16 @@ class CutRegion:
 
     whole: Mesh
     sides: CutSides
-    cameras: NDArray[np.int64]
+    cameras: IntArray
     kinematics: EnrichedRegion
-    cell_of: NDArray[np.int64]
+    cell_of: IntArray
 
     @property
     def cut(self) -> CutMesh:
         """The mesh cut by lines, without small cells."""
         return self.sides.cut
 
-    def find_nodes_away_from_lines(self) -> NDArray[np.bool_]:
+    def find_nodes_away_from_lines(self) -> BoolArray:
         """Tell which nodes are no corners of cut cells or of small ones, (kinematics.mesh.n_nodes,)."""
         cut, n_nodes = self.cut, self.kinematics.mesh.n_nodes
         away = np.ones(n_nodes, dtype=bool)
@@ -82,7 +80,7 @@ def list_discontinuities(case: Case) -> Discontinuities:
                            tuple(section.opening for section in known))
 
 
-def cut_region(inputs: Inputs, mesh: Mesh, labels: NDArray[np.int64]) -> CutRegion | None:
+def cut_region(inputs: Inputs, mesh: Mesh, labels: IntArray) -> CutRegion | None:
     """Cut a mesh by the case's discontinuities; None where there are none.
 
     ``labels``, (n_cells,), give the camera that measures each cell. Cells of a near camera whose pixels do not tell
@@ -120,7 +118,7 @@ def list_tip_functions(case: Case) -> list[bool]:
     return [section.tip_functions for section in case.discontinuity if section.vertices is not None]
 
 
-def _weigh_corners(cut: CutMesh, measured: Sequence[MeasuredCells], degree: int) -> NDArray[np.float64]:
+def _weigh_corners(cut: CutMesh, measured: Sequence[MeasuredCells], degree: int) -> Array:
     """How firmly the pixels of cells hold their nodes, (len(connectivity),).
 
     In square pixels of the first camera, so that cameras of different magnification compare.
@@ -159,7 +157,7 @@ def check_lines(case: Case, mesh: Mesh) -> None:
         raise InputError(problems)
 
 
-def _check_tips(entry: str, mesh: Mesh, line: NDArray[np.float64]) -> list[str]:
+def _check_tips(entry: str, mesh: Mesh, line: Array) -> list[str]:
     """What is wrong with a line about whose ends there are to be tip functions."""
     if find_tips(mesh, [line], [True]) is None:
         return [f"{entry}: tip_functions = true, but neither end of its line lies in the mesh; give the line up to the "

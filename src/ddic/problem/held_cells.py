@@ -10,8 +10,6 @@ the distance that grey levels capture, and no further, as theirs does: a crack, 
 about it along.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -20,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.view import FrameView, View
@@ -28,7 +27,6 @@ from ddic.images.window import Window
 from ddic.mesh.mesh import pad_cells
 from ddic.parallel.field import ByView
 
-Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 CAPTURED = 1.5
@@ -113,7 +111,7 @@ class HeldCells:
         Displacement of their corners (``pad_cells``) there, pixels of the view's image.
     """
 
-    cells: NDArray[np.int64]
+    cells: IntArray
     shown_at: Array
 
     @classmethod
@@ -191,7 +189,7 @@ def keep_other_cells(pulled: ByView[PulledView | None], residuals: ByView[Residu
     return pulled.map(lambda view, residual: residual if view is None else view.keep_others(residual), residuals)
 
 
-def find_cells_beside(view: FrameView, q: Array, cells: NDArray[np.int64], noise: float) -> dict[int, Array]:
+def find_cells_beside(view: FrameView, q: Array, cells: IntArray, noise: float) -> dict[int, Array]:
     """Find the cells that the frame shows beside where unknowns put them, not far off.
 
     ``view`` has all pixels that the frame shows, ``cells`` are those that are sought, ``noise`` is the variance of the
@@ -229,7 +227,7 @@ def measure_distance(away: Array) -> Array:
     return np.asarray(np.linalg.norm(away, axis=-1).mean(axis=-1))
 
 
-def _seek(f: Image, g: Image, is_own: NDArray[np.bool_], noise: float) -> Array | None:
+def _seek(f: Image, g: Image, is_own: BoolArray, noise: float) -> Array | None:
     """Affine motion, (2, 3), that takes f to where it is seen in g; None where it is nowhere.
 
     A whole-pixel translation is sought, and refined; g is REACH larger on all sides. What is found has to be the cell,
@@ -262,7 +260,7 @@ def _seek(f: Image, g: Image, is_own: NDArray[np.bool_], noise: float) -> Array 
     return np.asarray(affine - [[0.0, 0.0, REACH], [0.0, 0.0, REACH]], dtype=np.float64)
 
 
-def _is_cell(f: Image, g: Image, is_own: NDArray[np.bool_], noise: float) -> bool:
+def _is_cell(f: Image, g: Image, is_own: BoolArray, noise: float) -> bool:
     """Whether f agrees with g where it is found, over the square and over the cell's own pixels."""
     seen = np.isfinite(g)
     if not (is_own & seen).any():

@@ -1,7 +1,5 @@
 """The linear step that a case asks for, with its factors; renewed where M_s changes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from types import TracebackType

@@ -3,16 +3,14 @@
 Subdomains without texture join a neighbour: by themselves their operators would be singular.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError, list_first
 from ddic.functionals.correlation import restrict_to_cells
 from ddic.functionals.texture import Texture, find_blank_subdomains, measure_texture
@@ -29,8 +27,6 @@ from ddic.problem.choose_solver import choose_solver
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
 from ddic.problem.views import Hessians, read_reference_views
 from ddic.solvers.petsc import describe_missing_packages
-
-Array = NDArray[np.float64]
 
 T = TypeVar("T")
 
@@ -65,7 +61,7 @@ class ReferenceProblem:
     n_pixels: int
     notes: tuple[str, ...]
 
-    def convert_to_reference(self, q: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    def convert_to_reference(self, q: Sequence[Array]) -> list[Array]:
         """Take unknowns since the first reference image from the one in use; free of communication.
 
         They stay the same, unless a later frame has taken the first image's place.
@@ -118,7 +114,7 @@ def _describe_discontinuities(team: Team, region_mesh: RegionMesh | None) -> tup
     return team.on_root(describe)
 
 
-def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, parts: NDArray[np.int64] | None,
+def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, parts: IntArray | None,
                        clock: PhaseClock, notes: tuple[str, ...] = ()) -> ReferenceProblem:
     case = inputs.case
     with clock.phase(Phase.START):
@@ -140,7 +136,7 @@ def assemble_hessians(team: Team, views: Iterable[Sequence[View]]) -> Hessians:
 
 
 def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
-                          problem: ReferenceProblem) -> tuple[NDArray[np.int64] | None, str] | None:
+                          problem: ReferenceProblem) -> tuple[IntArray | None, str] | None:
     """Merge subdomains, or loose pieces of them, without texture with neighbours of the same camera; collective.
 
     The whole mesh is on rank 0, and there the new subdomain of each cell, (n_cells,), of which none is blank; beside it
@@ -156,7 +152,7 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
         return None
     cells = team.gather_to([cells for _, cells, _ in pieces])
 
-    def merge() -> NDArray[np.int64]:
+    def merge() -> IntArray:
         mesh = require_held(region_mesh).mesh
         piece_of_cell = np.empty(mesh.n_cells, dtype=np.int64)
         for number, members in enumerate(c for of_rank in require_held(cells) for c in of_rank):
@@ -170,7 +166,7 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
     return parts, _describe(owner, blank, n_left)
 
 
-def _find_pieces(problem: ReferenceProblem) -> Iterator[tuple[Subdomain, NDArray[np.int64], Texture]]:
+def _find_pieces(problem: ReferenceProblem) -> Iterator[tuple[Subdomain, IntArray, Texture]]:
     """Connected pieces of owned subdomains: numbers of their cells in the whole mesh, and the own camera's texture."""
     degree = problem.inputs.case.correlation.spline_degree
     for subdomain, (own, *_), (hessian, *_) in zip(problem.subdomains, problem.views, problem.hessians, strict=True):
@@ -185,7 +181,7 @@ def _find_pieces(problem: ReferenceProblem) -> Iterator[tuple[Subdomain, NDArray
             yield subdomain, subdomain.cell_ids[cells], measure_texture(alone, alone.assemble_hessian(), degree)
 
 
-def _find_blank(textures: Sequence[Texture], cameras: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_blank(textures: Sequence[Texture], cameras: IntArray) -> BoolArray:
     """Which pieces are blank, (n_pieces,), by comparison with those of the same camera; none where all of one are."""
     blank = np.zeros(len(textures), dtype=bool)
     for camera in np.unique(cameras):
@@ -196,7 +192,7 @@ def _find_blank(textures: Sequence[Texture], cameras: NDArray[np.int64]) -> NDAr
     return blank
 
 
-def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[IntArray, IntArray]:
     """Cells that share a facet, of one camera, as ``find_adjacent_cells`` gives them."""
     indptr, indices = find_adjacent_cells(region_mesh.mesh)
     cameras = region_mesh.cameras
@@ -206,7 +202,7 @@ def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[NDArray[np.int64
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[same]
 
 
-def _refuse_too_few(parts: NDArray[np.int64], n_before: int, n_ranks: int) -> None:
+def _refuse_too_few(parts: IntArray, n_before: int, n_ranks: int) -> None:
     n_left = int(parts.max()) + 1
     if n_left < n_ranks:
         raise InputError(
@@ -215,7 +211,7 @@ def _refuse_too_few(parts: NDArray[np.int64], n_before: int, n_ranks: int) -> No
             "subdomains (solver.subdomains)")
 
 
-def _describe(owner: NDArray[np.int64], blank: NDArray[np.bool_], n_left: int) -> str:
+def _describe(owner: IntArray, blank: BoolArray, n_left: int) -> str:
     n_before = len(np.unique(owner))
     has_texture = np.isin(owner, owner[~blank])
     whole = np.unique(owner[~has_texture])

@@ -1,14 +1,12 @@
 """The whole mesh on rank 0: its unknowns, which camera measures which cell, what cells cost, how it is cut."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import PHASES, Material, measure_gap_energies
@@ -53,7 +51,7 @@ class ProbeWaves:
     """
 
     wavelength: float
-    gap_energies: NDArray[np.float64]
+    gap_energies: Array
 
     @property
     def is_weighable(self) -> bool:
@@ -109,11 +107,11 @@ class RegionMesh:
     inputs: Inputs
     kinematics: RegionKinematics
     tying: Tying | None
-    cameras: NDArray[np.int64]
-    costs: NDArray[np.float64]
+    cameras: IntArray
+    costs: Array
     measured: list[MeasuredCells]
-    controlled: NDArray[np.bool_]
-    interior: NDArray[np.bool_]
+    controlled: BoolArray
+    interior: BoolArray
     discontinuous: CutRegion | None = None
 
     @property
@@ -135,7 +133,7 @@ class RegionMesh:
         return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, self.probe,
                       self.mesh.mapping)
 
-    def cut(self, parts: NDArray[np.int64]) -> tuple[list[Subdomain], NDArray[np.float64]]:
+    def cut(self, parts: IntArray) -> tuple[list[Subdomain], Array]:
         """Cut the mesh into self-contained subdomains.
 
         ``parts``, (n_cells,), is the subdomain of each cell; none has cells of two cameras. All subdomains are given,
@@ -181,7 +179,7 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
                       interior, region)
 
 
-def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
+def split_region(region_mesh: RegionMesh, n_ranks: int) -> IntArray:
     """Split the cells as the case says: the subdomain of each, (n_cells,); free of communication.
 
     No subdomain has cells of two cameras; there are ``n_ranks`` of them where the case says no number. Raises
@@ -202,8 +200,7 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> NDArray[np.int64]:
     return parts
 
 
-def _split_whole(solver: SolverSection, mesh: Mesh, labels: NDArray[np.int64], costs: NDArray[np.float64],
-                 n_subdomains: int) -> NDArray[np.int64]:
+def _split_whole(solver: SolverSection, mesh: Mesh, labels: IntArray, costs: Array, n_subdomains: int) -> IntArray:
     """Subdomain of each cell of a mesh without cut cells; as many as asked for where the case says no number."""
     parts = _given_parts(solver, mesh)
     if parts is not None:
@@ -212,7 +209,7 @@ def _split_whole(solver: SolverSection, mesh: Mesh, labels: NDArray[np.int64], c
                            lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n, costs[cells]))
 
 
-def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) -> NDArray[np.int64]:
+def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) -> IntArray:
     """Subdomain of each cell of a cut mesh: the mesh is split before it is cut, so that parts of a cell stay together.
 
     What opens along or across the line only is determined by what lies on both sides of it.
@@ -224,7 +221,7 @@ def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) ->
 
 
 def scatter_region(team: Team, region_mesh: RegionMesh | None,
-                   parts: NDArray[np.int64] | None) -> tuple[list[Subdomain], Region]:
+                   parts: IntArray | None) -> tuple[list[Subdomain], Region]:
     """Cut the mesh that rank 0 holds and give each rank its subdomains; collective.
 
     ``parts``, (n_cells,), is the subdomain of each cell, on rank 0. Raises InputError on all ranks, where there are
@@ -260,7 +257,7 @@ def _choose_kinematics(inputs: Inputs, mesh: Mesh, tying: Tying | None) -> Regio
     return NodalRegion(mesh) if inputs.choose_kinematics is None else inputs.choose_kinematics(mesh)
 
 
-def _costs(cameras: Sequence[Camera], mesh: Mesh, measured: Sequence[MeasuredCells]) -> NDArray[np.float64]:
+def _costs(cameras: Sequence[Camera], mesh: Mesh, measured: Sequence[MeasuredCells]) -> Array:
     """Work of each cell, (n_cells,), pixels: those of its camera, and of the first one where that measures it too."""
     costs = np.zeros(mesh.n_cells)
     for camera, cells in zip(cameras, measured, strict=True):
@@ -270,7 +267,7 @@ def _costs(cameras: Sequence[Camera], mesh: Mesh, measured: Sequence[MeasuredCel
     return costs
 
 
-def _only_first_camera(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int, tying: Tying | None) -> NDArray[np.bool_]:
+def _only_first_camera(mesh: Mesh, labels: IntArray, n_cameras: int, tying: Tying | None) -> BoolArray:
     """Whether the first camera alone measures around each node, (n_nodes,); never at slaves, which are near nodes."""
     at_nodes = find_cameras_at_nodes(mesh, labels, n_cameras, None if tying is None else tying.weights)
     only_first = np.zeros(mesh.n_nodes, dtype=bool)
@@ -278,8 +275,7 @@ def _only_first_camera(mesh: Mesh, labels: NDArray[np.int64], n_cameras: int, ty
     return only_first
 
 
-def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh,
-                      boundary: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh, boundary: IntArray) -> BoolArray:
     """Whether the equilibrium of each node is controlled, (n_nodes,)."""
     controlled = np.full(mesh.n_nodes, section is not None)
     if section is not None:
@@ -287,7 +283,7 @@ def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh,
     return controlled
 
 
-def _given_parts(solver: SolverSection, mesh: Mesh) -> NDArray[np.int64] | None:
+def _given_parts(solver: SolverSection, mesh: Mesh) -> IntArray | None:
     """Subdomain of each cell where the case gives blocks or a file, (n_cells,); None where METIS is to find it."""
     if solver.blocks is not None:
         return split_by_blocks(mesh, solver.blocks)

@@ -3,15 +3,13 @@
 The equilibrium gap is that of q - q_R, with the rigid motion q_R nearest to q, and of forces R K R^T.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.plane import build_rotation
 from ddic.mesh.quality import measure_areas
@@ -22,8 +20,6 @@ from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc import PetscStack
 from ddic.solvers.whole_system import EquilibriumRows
-
-Array = NDArray[np.float64]
 
 LEAST_ANGLE = 0.005
 """Angle, radians, up to which a rotation is left to linear elasticity, which takes it for a strain of 1e-5."""

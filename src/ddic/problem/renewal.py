@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import list_first
 from ddic.functionals.correlation import LARGE, measure_deformation
 from ddic.functionals.view import FrameView, View
@@ -28,8 +28,6 @@ from ddic.problem.residual_model import FilledCells, ResidualModel, fill_cells
 from ddic.problem.views import Hessians, add_matrices, project_hessians
 from ddic.solvers.local_system import LocalSystem
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 T = TypeVar("T")
 
 CHANGED_SHARE = 0.02
@@ -78,10 +76,10 @@ class AssembledFrom:
         Of the reference images of cameras.
     """
 
-    n_pixels: ByView[NDArray[np.int64]]
+    n_pixels: ByView[IntArray]
     inverse_deformations: ByView[Array | None]
-    filled: list[Flags]
-    free: list[Flags]
+    filled: list[BoolArray]
+    free: list[BoolArray]
     angle: float = 0.0
     blurs: tuple[tuple[int, Blur], ...] = ()
 
@@ -226,8 +224,8 @@ def _are_gradients_kept(before: Sequence[Array | None], now: Sequence[Array | No
     return max(changes, default=0.0) <= LARGE
 
 
-def _find_unseen(subdomain: Subdomain, in_reference: Sequence[NDArray[np.int64]], now: Sequence[NDArray[np.int64]], *,
-                 is_regularized: bool) -> Flags:
+def _find_unseen(subdomain: Subdomain, in_reference: Sequence[IntArray], now: Sequence[IntArray], *,
+                 is_regularized: bool) -> BoolArray:
     """Which unknowns have pixels in the reference images and none in the frame, (n_field,); without mechanics, none."""
     if not is_regularized:
         return ~find_held(subdomain, now)
@@ -237,8 +235,7 @@ def _find_unseen(subdomain: Subdomain, in_reference: Sequence[NDArray[np.int64]]
     return find_held(subdomain, in_reference) & ~find_held(subdomain, now)
 
 
-def _are_pixels_kept(subdomain: Subdomain, before: Sequence[NDArray[np.int64]], now: Sequence[NDArray[np.int64]],
-                     most: float) -> bool:
+def _are_pixels_kept(subdomain: Subdomain, before: Sequence[IntArray], now: Sequence[IntArray], most: float) -> bool:
     """Whether a subdomain's M, which counts the pixels before, still fits those that are shown now."""
     counted, shown = np.sum(before, axis=0), np.sum(now, axis=0)
     if (shown > (1.0 + GAINED_SHARE) * counted).any():
@@ -285,7 +282,7 @@ def _hold_shared(subdomain: Subdomain, diagonal: Array) -> sparse.dia_matrix:
     return sparse.diags(HELD_SHARE * diagonal * is_shared)
 
 
-def describe_lost_pixels(model: ResidualModel, n_pixels: ByView[NDArray[np.int64]]) -> str:
+def describe_lost_pixels(model: ResidualModel, n_pixels: ByView[IntArray]) -> str:
     """Say how many nodes a frame has taken most pixels from, where operators are singular; collective.
 
     ``n_pixels`` are those of cells that count in the frame. The reason, with remedies, is given on all ranks; it is
@@ -313,12 +310,12 @@ def describe_lost_pixels(model: ResidualModel, n_pixels: ByView[NDArray[np.int64
     return f"{told}; mask what is not the specimen, or give regularization.cut_off_wavelength"
 
 
-def find_held(subdomain: Subdomain, counts: Sequence[NDArray[np.int64]]) -> NDArray[np.bool_]:
+def find_held(subdomain: Subdomain, counts: Sequence[IntArray]) -> BoolArray:
     """Find the unknowns that pixels hold, (n_field,): those that displace a node of a cell with pixels."""
     return sum_pixels(subdomain, counts) > 0
 
 
-def sum_pixels(subdomain: Subdomain, counts: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
+def sum_pixels(subdomain: Subdomain, counts: Sequence[IntArray]) -> Array:
     """Sum the pixels that see each unknown, (n_field,): those of the cells about the nodes that it displaces.
 
     They are weighted by how far the unknown displaces each node.
@@ -327,13 +324,13 @@ def sum_pixels(subdomain: Subdomain, counts: Sequence[NDArray[np.int64]]) -> NDA
     return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, subdomain.mesh.dim))
 
 
-def find_displaced_nodes(subdomain: Subdomain, unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def find_displaced_nodes(subdomain: Subdomain, unknowns: BoolArray) -> BoolArray:
     """Find the nodes, (n_nodes,), that some unknowns of the field, (n_field,), displace."""
     is_displaced = abs(subdomain.kinematics.tangent) @ unknowns.astype(float) > 0
     return np.asarray(is_displaced.reshape(subdomain.mesh.nodes.shape).any(axis=1))
 
 
-def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[Flags]) -> NDArray[np.int64]:
+def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[BoolArray]) -> IntArray:
     """Find the unknowns that no pixel holds in any subdomain: their sorted numbers in the whole problem; collective.
 
     ``unseen``, (n_field,), are those without pixels in each owned subdomain.

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.correlation import LARGE_SHARE, Residual, find_large_gradients
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums, measure_deviation
@@ -28,8 +28,6 @@ from ddic.problem.held_cells import PulledView, keep_other_cells, sum_pulls
 from ddic.problem.region_rotation import HeldRotation, fit_rigid_motion
 from ddic.problem.views import read_frame_windows
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_correction, weigh_nodes
-
-Array = NDArray[np.float64]
 
 STIFFNESS = 1e-4
 """Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
@@ -261,8 +259,7 @@ class FilledCells:
         return q.map(compute, self.of_nodes)
 
 
-def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[NDArray[np.bool_]], weight: float,
-               angle: float) -> FilledCells:
+def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[BoolArray], weight: float, angle: float) -> FilledCells:
     """Give cells without pixels an elastic energy; free of communication.
 
     ``cells``, (n_cells,), say which ones of each owned subdomain; ``weight`` is the mean diagonal of M, grey levels
@@ -274,7 +271,7 @@ def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[NDArray[np.bool_
     return FilledCells(of_nodes, stiffness, HELD * weight)
 
 
-def _assemble(subdomain: Subdomain, chosen: NDArray[np.bool_], modulus: float) -> sparse.csr_matrix:
+def _assemble(subdomain: Subdomain, chosen: BoolArray, modulus: float) -> sparse.csr_matrix:
     """On displacements of nodes, (n_dofs, n_dofs)."""
     n_dofs = subdomain.mesh.n_dofs
     if not chosen.any():

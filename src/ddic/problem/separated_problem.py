@@ -1,7 +1,5 @@
 """PGD-DIC prepared for any number of frames: pixels in bands of rows, the regularisation's weight, and their size."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,17 +1,14 @@
 """Cameras' pixels of owned subdomains: of the reference images, and of one frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
 from operator import add
 from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array
 from ddic.case.schema import Case
 from ddic.functionals.correlation import Correlation, read_correlations
 from ddic.functionals.view import FrameView, View
@@ -87,7 +84,7 @@ def open_frame_views(case: Case, frame: Frame, views: ByView[View]) -> ByView[Fr
     return views.map(lambda view: view.open_frame(windows[view.camera, view.group]))
 
 
-def read_frame_windows(views: ByView[FrameView], q: Sequence[NDArray[np.float64]]) -> None:
+def read_frame_windows(views: ByView[FrameView], q: Sequence[Array]) -> None:
     """Read the windows of a frame that unknowns ask for, and no larger ones; free of communication."""
     wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
     for view, q_s in zip(views.flat, views.fill(q).flat, strict=True):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import IntArray
 from ddic.case.schema import RegularizationSection
 from ddic.errors import SingularSubdomainError, as_collective, is_collective
 from ddic.functionals.regularization import HalfAmplitudes, find_half_amplitudes
@@ -225,7 +225,7 @@ class WeightedProblem:
 
     @staticmethod
     def _explain(error: SingularSubdomainError, model: ResidualModel,
-                 n_pixels: ByView[NDArray[np.int64]]) -> SingularSubdomainError:
+                 n_pixels: ByView[IntArray]) -> SingularSubdomainError:
         """The error with what a frame has to do with it; collective where it is."""
         if not is_collective(error):
             return error

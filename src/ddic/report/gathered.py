@@ -1,7 +1,5 @@
 """What a report is made of: a result, its summary and, where they are still there, its images."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ plane specimen, said for finite elements: an element stands where a subset does.
 images were taken is told in the words of the case, beside what they are like, and where the residual is worst.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The page of a report, with its pictures in it."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

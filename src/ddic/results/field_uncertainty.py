@@ -1,14 +1,12 @@
 """Standard deviations that noise of the images leaves in a field, and what regularization takes from it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.kinematics.strain import compute_displacement_gradients, compute_infinitesimal
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import Field
@@ -29,8 +27,6 @@ from ddic.visibility.noise_forces import (
     prepare_noise_forces,
     prepare_residual_forces,
 )
-
-Array = NDArray[np.float64]
 
 ENOUGH = AllowedError(0.0, 0.1)
 """Share of each displacement that an iterative linear step may leave. With a cut-off wavelength of 7 elements it leaves
@@ -95,7 +91,7 @@ class FieldUncertainty:
 
 
 def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
-                               q: Field, unmeasured: Sequence[NDArray[np.bool_]]) -> FieldUncertainty:
+                               q: Field, unmeasured: Sequence[BoolArray]) -> FieldUncertainty:
     """Estimate what noise and regularization do to a measured field; collective.
 
     ``problem`` has the operators that found the field, ``model`` the pixels that count. ``unmeasured`` are the nodes of
@@ -141,7 +137,7 @@ def list_uncertainty(uncertainty: FieldUncertainty) -> dict[str, Any]:
 
 
 def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: LinearStep, forces: NoiseForces,
-                        scale: float, unmeasured: Sequence[NDArray[np.bool_]]) -> list[FieldDeviations]:
+                        scale: float, unmeasured: Sequence[BoolArray]) -> list[FieldDeviations]:
     """Estimate the square roots of the diagonal of A^-1 cov(b) A^-1, and of strains; collective.
 
     Each right-hand side takes a linear step, of whatever kind; ``scale`` is what b is multiplied by before.
@@ -164,8 +160,7 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
             for of_subdomain in squares]
 
 
-def solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep,
-                   q: Field) -> Field:
+def solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep, q: Field) -> Field:
     """Estimate what regularization has added to a field; collective.
 
     Of a true field q the images of no noise tell A^-1 M q, which is off by -H q, H = A^-1 eta Kbar^T Kbar. The measured
@@ -195,7 +190,7 @@ def _measure_rms(team: Team, subdomains: Sequence[Subdomain], deviations: Sequen
 
 
 def _displace(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array],
-              unmeasured: Sequence[NDArray[np.bool_]]) -> list[Array]:
+              unmeasured: Sequence[BoolArray]) -> list[Array]:
     """Displacement of each subdomain's nodes, the mean of copies, nan where unmeasured, (n_nodes, 2); collective."""
     shares = [(s.kinematics.tangent @ q_s[:s.n_field]).reshape(-1, 2) / s.node_multiplicity[:, None]
               for s, q_s in zip(subdomains, q, strict=True)]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, IntArray
 from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
@@ -36,8 +37,6 @@ from ddic.partition.subdomain import Subdomain
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
 
-
-Array = NDArray[np.float64]
 
 
 def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> list[Array]:
@@ -97,11 +96,11 @@ class DrawnMesh:
     """
 
     mesh: Mesh
-    node_ids: NDArray[np.int64]
-    cells: NDArray[np.int64]
+    node_ids: IntArray
+    cells: IntArray
     weights: sparse.csr_matrix | None = None
 
-    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def interpolate(self, values: Array) -> Array:
         """Interpolate values at the subdomain's nodes, (n_nodes, k), at the points, (mesh.n_nodes, k)."""
         return values if self.weights is None else np.asarray(self.weights @ values)
 
@@ -136,7 +135,7 @@ def draw_mesh(subdomain: Subdomain, n_nodes: int) -> DrawnMesh:
     return DrawnMesh(drawn, node_ids, cells, weights.tocsr())
 
 
-def _weigh_corners(mesh: Mesh, cells: NDArray[np.int64], corners: NDArray[np.float64]) -> sparse.csr_matrix:
+def _weigh_corners(mesh: Mesh, cells: IntArray, corners: Array) -> sparse.csr_matrix:
     """Shape functions of each corner's cell there, (n_corners, n_nodes)."""
     shapes = evaluate_shapes_at(mesh, cells, corners)
     rows = np.repeat(np.arange(len(corners)), shapes.shape[1])
@@ -189,7 +188,7 @@ def _group(counts: Sequence[int]) -> Iterator[range]:
 
 
 def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
-                  gradients: Sequence[NDArray[np.float64]]) -> Iterator[tuple[int, Piece]]:
+                  gradients: Sequence[Array]) -> Iterator[tuple[int, Piece]]:
     """Pieces of owned subdomains that follow each other: how many, and joined to one.
 
     ``gradients`` are those of the displacement at their nodes, (n_nodes, 2, 2) each.
@@ -211,7 +210,7 @@ def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
                                     cell_data={**joined.cell_data, **on_cells})
 
 
-def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: NDArray[np.float64]) -> Piece:
+def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> Piece:
     """The piece of an owned subdomain, given by its place, without the strains of its field."""
     mesh = drawn.mesh
     on_cells = {**_cell_data(measurement, number), **_cell_deviations(measurement, number)}
@@ -220,7 +219,7 @@ def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: NDAr
                  {name: values[drawn.cells] for name, values in on_cells.items()})
 
 
-def _point_data(measurement: Measurement, drawn: DrawnMesh, u: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+def _point_data(measurement: Measurement, drawn: DrawnMesh, u: Array) -> dict[str, NDArray[Any]]:
     pixel_size = measurement.inputs.case.images.pixel_size
     vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))
     data: dict[str, NDArray[Any]] = {
@@ -276,7 +275,7 @@ def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]
     return data
 
 
-def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> NDArray[np.float64]:
+def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> Array:
     """Root mean square of each cell's residual, grey levels; nan where it has no pixel."""
     correction = measurement.model.find_correction(measurement.evaluation, camera, residual)
     _, squares = residual.cell_sums.sum_residual(*correction)

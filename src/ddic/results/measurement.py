@@ -13,9 +13,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, DdicError, as_collective, is_collective, list_first
 from ddic.functionals.grey_statistics import GreyCorrection
@@ -62,8 +62,6 @@ from ddic.visibility.solved_frame import SolvedFrame
 if TYPE_CHECKING:
     from ddic.results.field_uncertainty import FieldUncertainty
 
-
-Array = NDArray[np.float64]
 
 LEAST_USED = 0.5
 """Share of a cell's pixels in the reference image that must count; with fewer it is marked doubtful."""
@@ -130,7 +128,7 @@ class Measurement:
     noise: tuple[float, ...]
     cell_errors: list[CellErrors]
     excluded: Exclusions
-    unmeasured: list[NDArray[np.bool_]]
+    unmeasured: list[BoolArray]
     whole: ResidualModel
     stop: str
     failure: str = ""
@@ -292,7 +290,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
 
 
 def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field,
-                          unmeasured: list[NDArray[np.bool_]]) -> tuple[FieldUncertainty | None, tuple[str, ...]]:
+                          unmeasured: list[BoolArray]) -> tuple[FieldUncertainty | None, tuple[str, ...]]:
     """Standard deviations, and what is said of them; a linear step that fails for them does not lose the field."""
     from ddic.results.field_uncertainty import describe_uncertainty, estimate_field_uncertainty
 
@@ -340,7 +338,7 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel,
             for of_cells, is_hidden in zip(errors, are_hidden, strict=True)], lost
 
 
-def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[NDArray[np.bool_]]:
+def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[BoolArray]:
     """Cells within a cut-off wavelength of one that is pulled, (n_cells,) of each owned subdomain; collective.
 
     Mechanics carry on what holds that one off.
@@ -364,7 +362,7 @@ def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[spars
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
-                            are_used: Sequence[NDArray[np.bool_]]) -> str:
+                            are_used: Sequence[BoolArray]) -> str:
     """Say which cells a field turns inside out, however small the last correction: no matter moves so; collective.
 
     Displacements are those of nodes, (n_dofs,), pixels, nan where nothing was measured. ``are_used`` tells which cells
@@ -413,7 +411,7 @@ def _finish(finish: Finish, found: Any, failure: str) -> object:
         return None
 
 
-def gather_displacement(measurement: Measurement) -> NDArray[np.float64] | None:
+def gather_displacement(measurement: Measurement) -> Array | None:
     """Gather the displacement of all nodes on rank 0, (n_nodes, dim), pixels, None elsewhere; collective."""
     values = [(subdomain.node_ids, u.reshape(-1, subdomain.mesh.dim))
               for subdomain, u in zip(measurement.subdomains, measurement.displacements, strict=True)]
@@ -424,8 +422,7 @@ def gather_displacement(measurement: Measurement) -> NDArray[np.float64] | None:
                           measurement.region.n_nodes)
 
 
-def place_at_nodes(values: Iterable[tuple[NDArray[np.int64], NDArray[np.float64]]],
-                   n_nodes: int) -> NDArray[np.float64]:
+def place_at_nodes(values: Iterable[tuple[IntArray, Array]], n_nodes: int) -> Array:
     """Put the values of several parts of a mesh in their places, (n_nodes, dim).
 
     Each part has the numbers of its nodes in the whole mesh and a vector of each, (n, dim). Where parts share a node,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.inputs.cameras import Camera
 from ddic.kinematics.camera import CameraSetup
 from ddic.parallel.field import Field
@@ -23,8 +23,6 @@ from ddic.solvers.local_system import LocalSystem
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
 
-
-Array = NDArray[np.float64]
 
 ENOUGH = AllowedError(1e-4)
 """Error of a field of about a pixel that is left in what makes the covariance: four digits of it."""

@@ -1,12 +1,8 @@
 """What a method measured, whatever it is made of: the seam by which it is written, summed up and started from."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ddic.arrays import Array
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
@@ -87,7 +83,7 @@ class Publishable(Protocol):
             The same on all ranks.
         """
 
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array) -> Array:
         """Interpolate the displacement.
 
         Parameters

@@ -5,8 +5,6 @@ Where a result comes from: images, versions, commit, command.
 Seconds by phase over all ranks.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import platform

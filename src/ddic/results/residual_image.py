@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.functionals.correlation import Band, Residual
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
@@ -204,7 +205,7 @@ class _SeenInBands:
     """A view of a subdomain with unknowns q, its residual sums, and the bands of rows in which it is drawn."""
 
     view: FrameView
-    q: NDArray[np.float64]
+    q: Array
     residual: Residual
     bands: list[Band]
 

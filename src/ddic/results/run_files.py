@@ -1,7 +1,5 @@
 """What a run leaves in its folder: a result with its summary, or the last field of one that did not converge."""
 
-from __future__ import annotations
-
 import json
 import resource
 from collections.abc import Callable, Iterator

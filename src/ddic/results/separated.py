@@ -4,8 +4,6 @@ Also the cells on which it is written out, and what follows the last correction:
 these cells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.case.schema import ImagesSection
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.window import Window
@@ -41,7 +40,6 @@ from ddic.separated.pixel_bands import FramePixels, ReferencePixels
 from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
 from ddic.visibility.exclusions import KEPT, UNSEEN
 
-Array = NDArray[np.float64]
 Rows = tuple[range, NDArray[np.float32]]
 
 
@@ -117,8 +115,7 @@ def _sum_band(along_x: LineElements, along_y: LineElements, reference: Reference
     return sums
 
 
-def write_output_cells(writer: ResultWriter, cells: OutputCells, field: SeparatedField,
-                       images: ImagesSection) -> None:
+def write_output_cells(writer: ResultWriter, cells: OutputCells, field: SeparatedField, images: ImagesSection) -> None:
     """Write cells with the displacement at their nodes, which are nodes of the elements too; on rank 0."""
     mesh = cells.build_mesh()
     displacement = cells.evaluate_displacement(field)

@@ -1,15 +1,13 @@
 """The JSON summary of a run, for scripts; between which values a field lies."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.io.replace_on_exit import NewFiles
 from ddic.io.text_files import write_json
@@ -166,8 +164,6 @@ def write_summary(path: Path, summary: Summary, files: NewFiles | None = None) -
     """
     write_json(path, asdict(summary), files)
 
-
-Array = NDArray[np.float64]
 
 
 def find_field_ranges(team: Team, fields: Sequence[tuple[Mesh, Array]]) -> FieldRanges:

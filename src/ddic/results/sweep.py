@@ -3,8 +3,6 @@
 Its tables: for people, and as comma-separated values.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence
@@ -12,13 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError
 from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.plots.curves import SweptElements
-
-Array = NDArray[np.float64]
 
 NO_WORSE = 1.02
 """Error over the least one up to which larger elements and a longer cut-off wavelength are preferred. A larger value
@@ -253,7 +249,7 @@ def collect_by_size(sweep: Sweep) -> list[SweptElements]:
     return groups
 
 
-def _collect(trials: list[Trial], name: str) -> NDArray[np.float64]:
+def _collect(trials: list[Trial], name: str) -> Array:
     return np.array([getattr(trial, name) for trial in trials], dtype=np.float64)
 
 

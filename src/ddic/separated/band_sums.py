@@ -1,18 +1,15 @@
 """Sums over bands of rows that are rounded alike however bands are spread over ranks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.separated.field import LineElements
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 N_BANDS = 16

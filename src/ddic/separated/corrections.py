@@ -3,14 +3,12 @@
 What the best rank-one correction gains from noise alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.separated.field import LineElements, SeparatedField
@@ -43,8 +41,6 @@ def _count_functions(line: LineElements, density: float | None) -> float:
     n = float(min(line.n_nodes, len(line.pixels)))
     return n if density is None else min(n, 1.0 + density * line.length)
 
-
-Array = NDArray[np.float64]
 
 MOST_MODES = 24
 """Modes from which on they are written anew as orthogonal ones; a larger value makes displacements costlier."""

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import SingularSubdomainError
 from ddic.mesh.raster import SNAP
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ class LineElements:
         return range(int(first), int(stop))
 
     @cached_property
-    def _elements(self) -> NDArray[np.int64]:
+    def _elements(self) -> IntArray:
         """Element of each pixel, (n_pixels,)."""
         snapped = np.round(self.nodes * SNAP) / SNAP
         found = np.searchsorted(snapped, np.arange(self.pixels.start, self.pixels.stop), side="right") - 1
@@ -66,7 +64,7 @@ class LineElements:
         places = np.arange(self.pixels.start, self.pixels.stop, dtype=float)
         return np.asarray((places - self.nodes[self._elements]) / np.diff(self.nodes)[self._elements])
 
-    def count_pixels(self) -> NDArray[np.int64]:
+    def count_pixels(self) -> IntArray:
         """Count the pixels of each element, (n_nodes - 1,)."""
         return np.bincount(self._elements, minlength=self.n_nodes - 1).astype(np.int64)
 

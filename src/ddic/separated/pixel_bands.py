@@ -1,13 +1,12 @@
 """Pixels of a rectangle in bands of rows: integrals over them along either direction, and the residual."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.grey_statistics import GreySums
 from ddic.images.spline import PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage
@@ -16,7 +15,6 @@ from ddic.separated import separated_kernels as kernels
 from ddic.separated.band_sums import BandSums
 from ddic.separated.field import LineElements, SeparatedField
 
-Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 
 CHUNK = 1 << 17
@@ -123,7 +121,7 @@ class FrameBand:
     by_x: Grey
     by_y: Grey
     residual: Grey
-    absent: NDArray[np.bool_] | None = None
+    absent: BoolArray | None = None
 
 
 @dataclass(eq=False)
@@ -212,7 +210,7 @@ class FramePixels:
             pairs[:, 1, :, 0] = pairs[:, 0, :, 1].swapaxes(0, 1)
             yield found
 
-    def sum_blocks(self, edges_x: NDArray[np.int64], edges_y: NDArray[np.int64]) -> Array:
+    def sum_blocks(self, edges_x: IntArray, edges_y: IntArray) -> Array:
         """Sum the residual against grad f over blocks of pixels: r f_x and r f_y, (2, n_y, n_x).
 
         ``edges_x`` and ``edges_y`` (n + 1,) are columns and rows where blocks begin, counted from the rectangle's first
@@ -312,7 +310,7 @@ class FramePixels:
         """The window of g that all pixels of a band are displaced to."""
         return self._bound(np.array(rows), np.arange(x.shape[-1]), x, y)
 
-    def _bound(self, rows: NDArray[np.int64], columns: NDArray[np.int64], x: Array, y: Array) -> Window:
+    def _bound(self, rows: IntArray, columns: IntArray, x: Array, y: Array) -> Window:
         ux, uy = (y[:, c].T @ x[:, c] for c in range(2))
         right = self.reference.along_x.pixels.start + columns[None, :] + ux
         down = rows[:, None] + uy

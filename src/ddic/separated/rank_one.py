@@ -3,15 +3,13 @@
 All functions of one direction found anew, those of the other direction kept.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.separated.field import (
     LineElements,
     SeparatedField,
@@ -23,8 +21,6 @@ from ddic.separated.field import (
 )
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.separated_regularization import SeparatedOperator
-
-Array = NDArray[np.float64]
 
 HELD = 1e-9
 """Stiffness, relative to the mean diagonal of what pixels give, by which nodes without a pixel follow their
@@ -180,7 +176,7 @@ def estimate_functions(pixels: FramePixels) -> Array:
     return pixels.reference.sums.broadcast(_scale(np.stack(guessed)))
 
 
-def _block_edges(line: LineElements) -> NDArray[np.int64]:
+def _block_edges(line: LineElements) -> IntArray:
     n = len(line.pixels)
     return np.linspace(0, n, min(LARGEST_BLOCKS, n) + 1).round().astype(np.int64)
 

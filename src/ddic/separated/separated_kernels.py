@@ -6,8 +6,6 @@ and f_y in grey levels per pixel, and the residual r, grey levels, are (height, 
 """
 # mypy: disable-error-code="no-untyped-def, assignment"
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.regularization import PHASES, Material, find_cut_off_weight
 from ddic.separated.field import LineElements, multiply, multiply_matrices, pad_diagonals, transpose
-
-Array = NDArray[np.float64]
 
 Product = tuple[Array, Array]
 """A matrix along x and one along y, by their diagonals: their Kronecker product acts on the grid's nodes."""
@@ -51,8 +49,8 @@ class SeparatedOperator:
         Matrices along y.
     """
 
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
+    rows: IntArray
+    columns: IntArray
     x: Array
     y: Array
 
@@ -130,8 +128,8 @@ class ControlledLines:
         Of the horizontal lines.
     """
 
-    x: NDArray[np.bool_]
-    y: NDArray[np.bool_]
+    x: BoolArray
+    y: BoolArray
 
     def factorize_weights(self, of_others: float) -> list[tuple[Array, Array]]:
         """Factorize the squares of the weights of rows: products (n_x,), (n_y,) whose sum is that of each node.
@@ -186,8 +184,7 @@ def build_plane_waves(along_x: LineElements, along_y: LineElements, wavelength: 
     return waves
 
 
-def measure_wave_gaps(along_x: LineElements, along_y: LineElements, material: Material,
-                      waves: Sequence[Wave]) -> Array:
+def measure_wave_gaps(along_x: LineElements, along_y: LineElements, material: Material, waves: Sequence[Wave]) -> Array:
     """Measure |K v|^2 of waves on the inner nodes' rows, (n_waves,), square pixels, as ``measure_gap_energies``."""
     stiffness = factorize_stiffness(along_x, along_y, material)
     energies = np.zeros(len(waves))

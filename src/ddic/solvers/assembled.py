@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import FactorizationError, as_collective
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
@@ -40,7 +41,7 @@ class SomeRows:
         These rows.
     """
 
-    numbers: NDArray[np.int64]
+    numbers: IntArray
     entries: sparse.csr_matrix
 
     def cut(self, start: int, end: int) -> SomeRows:
@@ -53,10 +54,10 @@ class SomeRows:
 class _Block:
     """Entries of some rows, of which several may be in one place; ``places`` says which of the rows is an entry's."""
 
-    rows: NDArray[np.int64]
+    rows: IntArray
     places: NDArray[np.integer[Any]]
     columns: NDArray[np.integer[Any]]
-    values: NDArray[np.float64]
+    values: Array
 
 
 class ParallelEntries:
@@ -80,12 +81,12 @@ class ParallelEntries:
         self._blocks: list[_Block] = []
         self._n_waiting = 0
 
-    def add(self, rows: NDArray[np.int64], columns: NDArray[np.int64], block: NDArray[np.float64]) -> None:
+    def add(self, rows: IntArray, columns: IntArray, block: Array) -> None:
         """Add a dense block, (n, k), at its rows, (n,), and columns, (k,), of the whole matrix."""
         places = np.repeat(np.arange(len(rows)), len(columns))
         self._keep(_Block(rows, places, np.tile(columns, len(rows)), block.ravel()))
 
-    def add_sparse(self, rows: NDArray[np.int64], columns: NDArray[np.int64], matrix: sparse.csr_matrix) -> None:
+    def add_sparse(self, rows: IntArray, columns: IntArray, matrix: sparse.csr_matrix) -> None:
         """Add a sparse block, (n, k), at its rows, (n,), and columns, (k,), of the whole matrix."""
         entries = matrix.tocoo()
         self._keep(_Block(rows, entries.row, columns[entries.col], entries.data))
@@ -134,7 +135,7 @@ class ParallelEntries:
 
     def _add_up(self, blocks: Sequence[_Block]) -> SomeRows:
         """The rows that blocks add up to."""
-        none: NDArray[np.int64] = np.zeros(0, np.int64)
+        none: IntArray = np.zeros(0, np.int64)
         numbers = np.unique(np.concatenate([none, *(block.rows for block in blocks)]))
         places = np.concatenate([none, *(np.searchsorted(numbers, block.rows)[block.places] for block in blocks)])
         columns = np.concatenate([none, *(block.columns for block in blocks)])

@@ -1,7 +1,5 @@
 """The linear step on the whole region by conjugate gradients, A never formed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -5,19 +5,15 @@ to the last digit would follow noise. The size of a field is the RMS displacemen
 unknowns mean.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-
-Array = NDArray[np.float64]
 
 KNOWN_PX = 0.02
 """Standard deviation of a node from which on its correction counts less, by KNOWN_PX / deviation, pixels: at a largest

@@ -3,15 +3,13 @@
 From the copies of an interface unknown comes one value, section 5.3.2 of [BP17].
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.arrays import Array, IntArray
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Interface, Subdomain, copies_of
@@ -40,10 +38,10 @@ class Exchange:
         How many numbers all ranks own.
     """
 
-    def __init__(self, team: Team, n_owned: int, needed: Sequence[NDArray[np.int64]]) -> None:
+    def __init__(self, team: Team, n_owned: int, needed: Sequence[IntArray]) -> None:
         self.team = team
         self.n_owned = n_owned
-        self.ghosts: NDArray[np.int64] = np.unique(np.concatenate([np.zeros(0, np.int64), *needed]))
+        self.ghosts: IntArray = np.unique(np.concatenate([np.zeros(0, np.int64), *needed]))
         n_ghosts = len(self.ghosts)
         check_petsc_size(team.sum(n_owned), "unknowns of all ranks")
         numbers = to_petsc_integers(self.ghosts, "unknowns of all ranks")
@@ -66,18 +64,18 @@ class Exchange:
         vector.set(0.0)
         return vector
 
-    def fetch_ghosts(self, owned: PETSc.Vec) -> NDArray[np.float64]:
+    def fetch_ghosts(self, owned: PETSc.Vec) -> Array:
         """Fetch the values of all numbers that this rank takes part in, in the order of ``ghosts``; collective."""
         self._scatter.scatter(owned, self._ghost, addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
         return np.array(self._ghost.getArray(readonly=1))
 
-    def add_to_owners(self, ghosts: NDArray[np.float64], owned: PETSc.Vec) -> None:
+    def add_to_owners(self, ghosts: Array, owned: PETSc.Vec) -> None:
         """Set a vector to the sum of what the ranks contribute, each in the order of ``ghosts``; collective."""
         self._ghost.setArray(ghosts)
         owned.set(0.0)
         self._scatter.scatter(self._ghost, owned, addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
-    def sum_over_ranks(self, ghosts: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_over_ranks(self, ghosts: Array) -> Array:
         """Sum what the ranks contribute, in the order of ``ghosts``, and give each the sums of its own; collective."""
         with PetscStack() as stack:
             owned = stack.keep(self.create_vector())
@@ -85,8 +83,8 @@ class Exchange:
             return self.fetch_ghosts(owned)
 
 
-def fetch_copies(team: Team, subdomains: Sequence[Subdomain], values: Sequence[tuple[Interface, NDArray[np.float64]]],
-                 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def fetch_copies(team: Team, subdomains: Sequence[Subdomain], values: Sequence[tuple[Interface, Array]],
+                 ) -> tuple[IntArray, Array]:
     """Fetch what all subdomains have at the copies of chains that owned subdomains take part in; collective.
 
     ``values`` are owned subdomains' interfaces, each with what it has at its unknowns. Returns the copies' numbers,
@@ -139,8 +137,7 @@ def average_copies(q: Field) -> ContinuousField:
     return ContinuousField(q.with_parts(parts), q.team.maximum(largest))
 
 
-def _mean_and_spread(interface: Interface, numbers: NDArray[np.int64],
-                     copies: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _mean_and_spread(interface: Interface, numbers: IntArray, copies: Array) -> tuple[Array, Array]:
     """Mean, and largest less smallest, of the copies of each of a subdomain's interface unknowns."""
     values = copies[np.searchsorted(numbers, copies_of(interface))]
     if len(values) == 0:

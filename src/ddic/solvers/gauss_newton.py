@@ -6,16 +6,14 @@ A step q <- q + dq(q) with a constant M closes in at once wherever M is the true
 where it is not. The last corrections tell how dq changes with q along the directions that matter there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.grey_statistics import GreyState
 from ddic.parallel.field import Field, multiply_fields
@@ -24,8 +22,6 @@ from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
-
-Array = NDArray[np.float64]
 
 DEPTH = 5
 """Differences of corrections that are kept. More of them cost memory, and mix in corrections of long ago."""

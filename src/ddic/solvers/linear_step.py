@@ -3,15 +3,13 @@
 A linear step that another one takes the place of, once it does not converge.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError, is_collective
 from ddic.parallel.field import Field
 
@@ -50,7 +48,7 @@ class StepResult:
 
     dq: Field
     krylov_iterations: int = 0
-    krylov_history: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    krylov_history: Array = field(default_factory=lambda: np.zeros(0))
     error: float = 0.0
 
 

@@ -4,13 +4,11 @@ Also whether a factorised operator is singular and what to tell of it, and why P
 what to do about it.
 """
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
+from ddic.arrays import Array
 from ddic.errors import DdicError, FactorizationError, SingularSubdomainError
 from ddic.solvers.petsc import LOCAL, PetscStack, create_ksp, to_petsc_integers
 
@@ -138,7 +136,7 @@ class LocalOperator:
                 raise SingularSubdomainError(describe_singular(where))
             self._objects = stack.pop_all()
 
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, right: Array) -> Array:
         """Solve A x = right for one right-hand side, (n,)."""
         self._right.setArray(right)
         self._factor.solve(self._right, self._left)
@@ -149,7 +147,7 @@ class LocalOperator:
         """Number of columns to solve for at a time: enough for speed, few enough that a block stays below 16 MiB."""
         return max(1, min(_BLOCK_COLUMNS, _BLOCK_BYTES // (8 * self.n)))
 
-    def solve_many(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve_many(self, right: Array) -> Array:
         """Solve A X = right, (n, k), a block of columns at a time; X comes in Fortran's order."""
         solution = np.empty((self.n, right.shape[1]), order="F")
         for begin in range(0, right.shape[1], self.block):

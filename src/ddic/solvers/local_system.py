@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array
 from ddic.functionals.scale_rows import scale_rows
 from ddic.parallel.field import Field
 from ddic.partition.subdomain import Subdomain
@@ -42,9 +42,9 @@ class LocalSystem:
     subdomain: Subdomain
     hessian: sparse.csr_matrix
     stiffness: sparse.csr_matrix | None
-    row_weights: NDArray[np.float64]
+    row_weights: Array
     eta: float
-    projection: NDArray[np.float64] | None = None
+    projection: Array | None = None
 
     @cached_property
     def controlled_stiffness(self) -> sparse.csr_matrix | None:
@@ -67,7 +67,7 @@ class LocalSystem:
         return (self.hessian + self.eta * (kbar.T @ kbar)).tocsr()
 
     @property
-    def diagonal(self) -> NDArray[np.float64]:
+    def diagonal(self) -> Array:
         """Diagonal of A_s, (n_unknowns,), without the product Kbar_s^T Kbar_s."""
         of_hessian = np.asarray(self.hessian.diagonal())
         if self.controlled_stiffness is None:
@@ -86,18 +86,18 @@ class LocalSystem:
         return replace(self, hessian=hessian, stiffness=stiffness)
 
     @property
-    def motion_columns(self) -> NDArray[np.float64]:
+    def motion_columns(self) -> Array:
         """N_s = M_s R_s: what the camera's motion does to the field's equations, (n_field, n_motion)."""
         n = self.subdomain.n_field
         return np.asarray(self.hessian[:n, n:].toarray())
 
     @property
-    def motion_block(self) -> NDArray[np.float64]:
+    def motion_block(self) -> Array:
         """R_s^T M_s R_s of the camera's motion, (n_motion, n_motion)."""
         n = self.subdomain.n_field
         return np.asarray(self.hessian[n:, n:].toarray())
 
-    def right_hand_side(self, b: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def right_hand_side(self, b: Array, q: Array) -> Array:
         """Return b_s - eta Kbar_s^T Kbar_s q_s, grey levels squared per pixel, Eq. 24a of [BP17]."""
         if self.controlled_stiffness is None:
             return b

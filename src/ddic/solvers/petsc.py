@@ -8,8 +8,6 @@
 - Options that were given and never asked for: mistyped ones, above all.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Sequence
 from contextlib import ExitStack

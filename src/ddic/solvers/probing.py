@@ -5,15 +5,13 @@ field takes from the images are tr(A^-1 M). Random bits go by number: no rank ne
 sides are made as noise makes them: their mean products are their covariance, without chance between neighbours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import hadamard
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -60,12 +58,12 @@ def _multiply_by_hessians(systems: Sequence[LocalSystem], y: Field) -> Field:
     return y.with_parts(system.hessian @ y_s for system, y_s in zip(systems, y, strict=True))
 
 
-def _draw_signs(n: int, probe: int) -> NDArray[np.float64]:
+def _draw_signs(n: int, probe: int) -> Array:
     """Random signs of all unknowns, the same on every rank and for every partition, (n,)."""
     return np.random.default_rng(probe).choice([-1.0, 1.0], size=n)
 
 
-def generate_bits(numbers: NDArray[np.int64], stream: int) -> NDArray[np.float64]:
+def generate_bits(numbers: IntArray, stream: int) -> Array:
     """Generate a random bit, 0 or 1, for each number, by the mixing of splitmix64.
 
     ``numbers``, of any shape, say what has a bit, the same on all ranks; each ``stream`` has independent bits.
@@ -92,8 +90,7 @@ _ENOUGH = AllowedError(0.0, 0.1)
 with twice the iterations."""
 
 
-def estimate_noise_rms(system: LocalSystem, operator: LocalOperator, sigma: float,
-                       components: NDArray[np.bool_]) -> float:
+def estimate_noise_rms(system: LocalSystem, operator: LocalOperator, sigma: float, components: BoolArray) -> float:
     """Estimate the displacement noise of white camera noise, by the trace of T A^-1 M A^-1 T^T with random signs.
 
     The RMS, pixels, is over the ``components`` of the nodes' displacements, (mesh.n_dofs,), node by node, that count;
@@ -124,7 +121,7 @@ class NoiseResponse:
 
 
 def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearStep,
-                      counted: Sequence[NDArray[np.bool_]] | None = None) -> NoiseResponse:
+                      counted: Sequence[BoolArray] | None = None) -> NoiseResponse:
     """Estimate the same over all nodes of a problem in subdomains, by linear steps of any kind; collective.
 
     ``counted`` says which nodes of each owned subdomain, (n_nodes,), count; all of them by default. Every node is
@@ -155,7 +152,7 @@ def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearSt
     return NoiseResponse(float(np.sqrt(2.0 * of_covariance / n_components)), float(of_determined))
 
 
-def _project_signs(subdomain: Subdomain, shares: NDArray[np.float64], probe: int) -> NDArray[np.float64]:
+def _project_signs(subdomain: Subdomain, shares: Array, probe: int) -> Array:
     """A subdomain's part of T^T z, z of random signs that are the same whatever the partition, (n_unknowns,)."""
     dim = subdomain.mesh.dim
     components = (subdomain.node_ids[:, None] * dim + np.arange(dim)).ravel()
@@ -165,8 +162,6 @@ def _project_signs(subdomain: Subdomain, shares: NDArray[np.float64], probe: int
     b[:subdomain.n_field] = subdomain.kinematics.tangent.T @ shared
     return b
 
-
-Array = NDArray[np.float64]
 
 MOST_SAMPLES, FEWEST_SAMPLES = 256, 128
 """Right-hand sides, powers of 2, with regularization and without, where a node depends on few cells. On elements of
@@ -199,7 +194,7 @@ class SampledCells:
     """
 
     factors: Array
-    rows: NDArray[np.int64]
+    rows: IntArray
     signs: Array
 
     def generate_forces(self, sample: int) -> Array:
@@ -211,7 +206,7 @@ class SampledCells:
         return np.asarray(np.einsum("eij,ej->ei", self.factors, signs))
 
 
-def prepare_samples(covariances: Array, cell_ids: NDArray[np.int64], places: NDArray[np.int64],
+def prepare_samples(covariances: Array, cell_ids: IntArray, places: IntArray,
                     camera: int, n_samples: int) -> SampledCells:
     """Prepare forces with a covariance that is independent from cell to cell, the same whatever the partition.
 
@@ -239,7 +234,7 @@ def prepare_samples(covariances: Array, cell_ids: NDArray[np.int64], places: NDA
     return SampledCells(factors, rows, 1.0 - 2.0 * generate_bits(numbers, camera))
 
 
-def _number_within_places(places: NDArray[np.int64]) -> NDArray[np.int64]:
+def _number_within_places(places: IntArray) -> IntArray:
     """Number of each cell among those with the same place, 0 for the first, (n_cells,)."""
     order = np.lexsort((np.arange(len(places)), places[:, 0], places[:, 1]))
     begins = np.append(True, (np.diff(places[order], axis=0) != 0).any(axis=1))

@@ -3,8 +3,6 @@
 The constants are those of the cost model of ``solver.method = "auto"``; ``make bench-interface`` measures them anew.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

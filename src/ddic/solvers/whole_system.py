@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import sparse
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import SingularSubdomainError, as_collective
 from ddic.functionals.scale_rows import scale_rows
 from ddic.parallel.field import Field
@@ -63,18 +63,18 @@ class WholeSystem:
         """Average what subdomains say of each unknown; collective."""
         return self.restrict(self.sum_over_subdomains(q) / self._multiplicity)
 
-    def restrict(self, here: NDArray[np.float64]) -> Field:
+    def restrict(self, here: Array) -> Field:
         """Give each owned subdomain the values of its unknowns from those here."""
         return Field(self._team, self._subdomains, [here[places] for places in self._places])
 
-    def add_up(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    def add_up(self, values: Sequence[Array]) -> Array:
         """Add up values of each owned subdomain, (n_unknowns,), over this rank's subdomains: sums here, (n_here,)."""
         total = np.zeros(len(self.exchange.ghosts))
         for places, values_s in zip(self._places, values, strict=True):
             total[places] += values_s
         return total
 
-    def sum_over_subdomains(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    def sum_over_subdomains(self, values: Sequence[Array]) -> Array:
         """Add up values of each owned subdomain over the subdomains of all ranks: sums here, (n_here,); collective."""
         return self.exchange.sum_over_ranks(self.add_up(values))
 
@@ -150,7 +150,7 @@ class WholeSystem:
         return self.restrict(self.sum_over_subdomains(forces))
 
 
-def _number_by_rank(team: Team, subdomains: Sequence[Subdomain]) -> tuple[list[NDArray[np.int64]], int]:
+def _number_by_rank(team: Team, subdomains: Sequence[Subdomain]) -> tuple[list[IntArray], int]:
     """Number the unknowns rank by rank, so that little but the interface is sent.
 
     An unknown belongs to its lowest subdomain. Returns each subdomain's numbers (n_unknowns,) and how many this rank
@@ -171,9 +171,9 @@ def _number_by_rank(team: Team, subdomains: Sequence[Subdomain]) -> tuple[list[N
         return [everybodys[np.searchsorted(exchange.ghosts, n)] for n in numbers], n_owned
 
 
-def _find_node(subdomain: Subdomain, unknown: int) -> NDArray[np.float64]:
+def _find_node(subdomain: Subdomain, unknown: int) -> Array:
     """The node that an unknown of a subdomain displaces most, (dim,), pixels; the first for a camera's motion."""
-    nodes: NDArray[np.float64] = subdomain.mesh.nodes
+    nodes: Array = subdomain.mesh.nodes
     if unknown >= subdomain.n_field:
         return np.asarray(nodes[0])
     column = subdomain.kinematics.tangent[:, [unknown]].toarray().reshape(nodes.shape)
@@ -197,7 +197,7 @@ class EquilibriumRows:
     """
 
     stiffness: sparse.csr_matrix
-    factors: NDArray[np.float64]
+    factors: Array
 
     @classmethod
     def of(cls, system: LocalSystem) -> EquilibriumRows:
@@ -210,17 +210,17 @@ class EquilibriumRows:
             return cls(sparse.csr_matrix((subdomain.n_field, subdomain.n_unknowns)), np.ones(subdomain.n_field))
         return cls(system.stiffness, factors)
 
-    def multiply(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def multiply(self, x: Array) -> Array:
         """Compute Kbar_s x, x in pixels; 0 for a camera's motion: it displaces no matter, so is in no equilibrium."""
         product = np.zeros(len(x))
         np.multiply(self.factors, self.stiffness @ x, out=product[:len(self.factors)])
         return product
 
-    def multiply_transposed(self, gap: NDArray[np.float64]) -> NDArray[np.float64]:
+    def multiply_transposed(self, gap: Array) -> Array:
         """Compute Kbar_s^T times a value of each unknown, forces, (n_unknowns,), without those of a camera's motion."""
         return np.asarray(self._transposed @ (self.factors * gap[:len(self.factors)]))
 
-    def sum_squares(self) -> NDArray[np.float64]:
+    def sum_squares(self) -> Array:
         """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s, (n_unknowns,)."""
         return np.asarray(self.stiffness.power(2).T @ self.factors**2)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.images.rigid import GridField, fill_absent
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.cell_type import Q4
@@ -103,12 +104,12 @@ class Grid:
     """
 
     mesh: Mesh
-    numbers: NDArray[np.int64]
+    numbers: IntArray
     shape: tuple[int, int]
-    origin: NDArray[np.float64]
-    spacing: NDArray[np.float64]
+    origin: Array
+    spacing: Array
 
-    def make_field(self, displacement: NDArray[np.float64], factor: int) -> GridField:
+    def make_field(self, displacement: Array, factor: int) -> GridField:
         """Make a field on the full grid, pixels, of displacements of the cells' nodes, (mesh.n_dofs,), blocks.
 
         Nodes without a cell have the nearest node's value.
@@ -148,7 +149,7 @@ def build_grid(region: Mesh, active: NDArray[np.uint8]) -> Grid:
     return Grid(mesh, numbers, shape, low, spacing)
 
 
-def _connect(n_rows: int, n_columns: int) -> NDArray[np.int64]:
+def _connect(n_rows: int, n_columns: int) -> IntArray:
     """Nodes of each cell of a full grid, (n_cells, 4)."""
     nodes_a_row = n_columns + 1
     rows, columns = np.divmod(np.arange(n_rows * n_columns), n_columns)

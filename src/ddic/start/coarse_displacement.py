@@ -1,12 +1,11 @@
 """What the start finds, a displacement at any node: on cells that a line may cut, where the field may jump."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.functionals.line_band import weigh_corners
 from ddic.images.rigid import GridField
 from ddic.kinematics.enriched import Discontinuities, enrich
@@ -38,8 +37,8 @@ class LevelMesh:
 
     cut: CutMesh
     kinematics: RegionKinematics
-    on_edge: NDArray[np.bool_]
-    interior: NDArray[np.bool_]
+    on_edge: BoolArray
+    interior: BoolArray
 
     @property
     def mesh(self) -> Mesh:
@@ -70,12 +69,12 @@ def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
     return _map_mesh(mesh, factor, locate_block_centre(factor))
 
 
-def move_mesh(mesh: Mesh, vector: NDArray[np.float64]) -> Mesh:
+def move_mesh(mesh: Mesh, vector: Array) -> Mesh:
     """Give a mesh, perhaps cut, at another place: moved by ``vector``, (2,), pixels."""
     return _map_mesh(mesh, 1, vector)
 
 
-def _map_mesh(mesh: Mesh, factor: int, origin: float | NDArray[np.float64]) -> Mesh:
+def _map_mesh(mesh: Mesh, factor: int, origin: float | Array) -> Mesh:
     """The same cells, all points times a factor and then moved."""
     parts = mesh.parts
     if parts is not None:
@@ -98,9 +97,9 @@ class CutField:
     """
 
     mesh: Mesh
-    displacement: NDArray[np.float64]
+    displacement: Array
 
-    def interpolate_at_nodes(self, mesh: Mesh) -> NDArray[np.float64]:
+    def interpolate_at_nodes(self, mesh: Mesh) -> Array:
         """Prolong the displacement to nodes of another mesh, (n_nodes, 2), pixels, each on its own side of all lines.
 
         It is that of the cell that holds a point on the node's side, extrapolated to the node; outside the mesh that of
@@ -114,7 +113,7 @@ class CutField:
             values[~is_held] = self._take_nearest(on_own_side[~is_held])
         return values
 
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array) -> Array:
         """Interpolate the displacement at points, (n, 2), pixels; outside the mesh it is that of the nearest node."""
         located = locate(self.mesh, points)
         values = interpolate_located(self.mesh, self.displacement, located)
@@ -123,7 +122,7 @@ class CutField:
             values[outside] = self._take_nearest(points[outside])
         return values
 
-    def _take_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _take_nearest(self, points: Array) -> Array:
         """Displacement of the nearest nodes, (n, 2), of points outside the mesh (n, 2), pixels."""
         nearest = build_tree(find_points_on_own_side(self.mesh)).query(points)[1]
         return np.asarray(self.displacement[nearest])
@@ -142,14 +141,14 @@ class MovedField:
     """
 
     field: CutField | MatchedField
-    origin: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    origin: Array
+    translation: Array
 
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, points: Array) -> Array:
         """Evaluate the displacement at points, (n, 2), pixels."""
         return np.asarray(self.field.at(points - self.origin) + self.translation)
 
-    def interpolate_at_nodes(self, mesh: Mesh) -> NDArray[np.float64]:
+    def interpolate_at_nodes(self, mesh: Mesh) -> Array:
         """Evaluate the displacement at the nodes of a mesh, perhaps with cut cells, (n_nodes, 2), pixels."""
         return self.field.interpolate_at_nodes(move_mesh(mesh, -self.origin)) + self.translation
 
@@ -170,8 +169,7 @@ class KeptResult:
     beyond: CutField | None
 
 
-def move_field(field: CoarseField | KeptResult, origin: NDArray[np.float64],
-               translation: NDArray[np.float64]) -> CoarseField:
+def move_field(field: CoarseField | KeptResult, origin: Array, translation: Array) -> CoarseField:
     """Give what was found in parts of both images in pixels of the images.
 
     The reference image's part begins at ``origin``, the deformed image's part from there at ``translation``, (2,),
@@ -185,6 +183,6 @@ def move_field(field: CoarseField | KeptResult, origin: NDArray[np.float64],
     raise TypeError(f"a {type(field).__name__} is not found in a part of an image")
 
 
-def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> NDArray[np.float64]:
+def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> Array:
     """Evaluate a coarse field at the nodes of a mesh, perhaps with cut cells, (n_nodes, 2), pixels."""
     return field.at(mesh.nodes) if isinstance(field, GridField) else field.interpolate_at_nodes(mesh)

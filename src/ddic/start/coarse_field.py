@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.case.schema import Case, StartSection
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import View
@@ -31,9 +31,7 @@ from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_
 from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Pyramid, find_multilevel_start
 from ddic.start.start_from_given import find_start_from_given
 
-Array = NDArray[np.float64]
-
-LookedUp = tuple[Array, NDArray[np.bool_]]
+LookedUp = tuple[Array, BoolArray]
 """Displacement of a subdomain's nodes, (n_nodes, 2), pixels, and which of them are known, (n_nodes,)."""
 
 

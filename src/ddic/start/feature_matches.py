@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from ddic.arrays import Array, IntArray
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.interpolation import locate
@@ -20,8 +21,6 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
 from ddic.mesh.raster import rasterize
 from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
-
-Array = NDArray[np.float64]
 
 N_FEATURES = 3000
 """Features of the region; as many a block in the whole deformed image. More take longer as their square."""
@@ -86,7 +85,7 @@ class FeatureMatches:
 
     points: Array
     displacement: Array
-    pieces: NDArray[np.int64]
+    pieces: IntArray
     n_found: int
 
     @property
@@ -96,7 +95,7 @@ class FeatureMatches:
         return n >= FEWEST_MATCHES and n >= LEAST_SHARE * self.n_found
 
 
-def match_features(pair: BinnedPair, mesh: Mesh, piece_of_cell: NDArray[np.int64]) -> FeatureMatches:
+def match_features(pair: BinnedPair, mesh: Mesh, piece_of_cell: IntArray) -> FeatureMatches:
     """Match features of a region with those of the deformed image, and keep those that agree with their neighbours.
 
     ``piece_of_cell``, (n_cells,), says which piece of the region, perhaps cut by lines, each cell is of: displacements
@@ -149,7 +148,7 @@ def _match(reference: _Features, deformed: _Features) -> tuple[Array, Array]:
     return points, found[[match.trainIdx for match in clear]] - points
 
 
-def _find_consistent(points: Array, displacement: Array, pieces: NDArray[np.int64], misfit: float) -> NDArray[np.int64]:
+def _find_consistent(points: Array, displacement: Array, pieces: IntArray, misfit: float) -> IntArray:
     """Matches that an affine map of their neighbours in the same piece predicts."""
     kept = []
     for piece in np.unique(pieces):
@@ -184,7 +183,7 @@ class MatchedField:
 
     matches: FeatureMatches
     mesh: Mesh
-    piece_of_cell: NDArray[np.int64]
+    piece_of_cell: IntArray
 
     def interpolate_at_nodes(self, mesh: Mesh) -> Array:
         """Interpolate the displacement at nodes, each in the piece that it belongs to, (n_nodes, 2), pixels."""
@@ -264,7 +263,7 @@ def _interpolate_rest(points: Array, displacement: Array, of_all: AffineMap, pla
     return values
 
 
-def find_pieces(mesh: Mesh) -> NDArray[np.int64]:
+def find_pieces(mesh: Mesh) -> IntArray:
     """Find each cell's piece of a mesh, perhaps cut by lines, from 0: cells that hang together by nodes are of one."""
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     ones = np.ones(len(cell_of_corner))
@@ -273,7 +272,7 @@ def find_pieces(mesh: Mesh) -> NDArray[np.int64]:
     return np.asarray(pieces, dtype=np.int64)
 
 
-def find_piece_of_nodes(mesh: Mesh) -> NDArray[np.int64]:
+def find_piece_of_nodes(mesh: Mesh) -> IntArray:
     """Find the piece of a mesh that each node is of, as ``find_pieces`` numbers them.
 
     Every node must be a corner of a cell.
@@ -324,7 +323,7 @@ def fit_affine_map(points: Array, displacement: Array) -> AffineMap:
     return AffineMap(centre, translation, np.array([[a, -b], [b, a]]))
 
 
-def fit_without_itself(points: Array, displacement: Array, neighbours: NDArray[np.int64]) -> Array:
+def fit_without_itself(points: Array, displacement: Array, neighbours: IntArray) -> Array:
     """Predict the displacement of each point from its neighbours', (n, 2), pixels.
 
     ``neighbours``, (n, k + 1), are the points nearest to each, itself first.

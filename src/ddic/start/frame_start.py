@@ -1,14 +1,12 @@
 """The start of a frame: a coarse field, independent measurements, and with several cameras their motions and noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import InputError, as_collective, list_first
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, measure_deviation
@@ -28,8 +26,6 @@ from ddic.start.coarse_field import CoarseSearch, fit_found_fields
 from ddic.start.given_start import EarlierResult, GivenStart
 from ddic.start.independent import measure_independently
 from ddic.start.multilevel import MultilevelStart
-
-Array = NDArray[np.float64]
 
 KnownStart = Sequence[Array] | GivenStart
 """Unknowns of each owned subdomain to start from, or a displacement to go on from."""
@@ -144,7 +140,7 @@ class _InterfaceField:
     """
 
     camera: int
-    numbers: NDArray[np.int64]
+    numbers: IntArray
     values: Array
     columns: Array
 

@@ -3,14 +3,12 @@
 Beyond where it is known it is in equilibrium with what is known.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, BoolArray
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import Material, assemble_stiffness
@@ -34,8 +32,6 @@ from ddic.start.feature_matches import (
     fit_affine_map,
     interpolate_pairs,
 )
-
-Array = NDArray[np.float64]
 
 N_FACETS = 8
 """Edges of the earlier mesh, by their middles, among which the nearest to a point is sought."""
@@ -64,7 +60,7 @@ class EarlierResult:
         """Say for the log what it is."""
         return f"displacement of {self.name}"
 
-    def evaluate(self, on_own_side: Array, nodes: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def evaluate(self, on_own_side: Array, nodes: Array) -> tuple[Array, BoolArray]:
         """Evaluate the displacement at nodes, (n, 2), and tell which are known, (n,); pixels of the specimen's frame.
 
         ``on_own_side`` holds a point for each node on its side of all discontinuities. A node is known where its point
@@ -79,14 +75,14 @@ class EarlierResult:
             values[~known] = 0.0
         return values, known
 
-    def _find_measured(self, points: Array) -> NDArray[np.bool_]:
+    def _find_measured(self, points: Array) -> BoolArray:
         measured = np.asarray(np.isfinite(self.result.at(points)).all(axis=1))
         nodes = self.result.mesh.nodes[self.result.measured_nodes]
         if self.result.separated is None and not measured.all() and len(nodes):
             measured[~measured] = build_tree(nodes).query(points[~measured])[0] <= SAME_NODE_PX
         return measured
 
-    def find_outside(self, points: Array) -> NDArray[np.bool_]:
+    def find_outside(self, points: Array) -> BoolArray:
         """Find the points outside the earlier mesh among those, (n, 2), pixels, of which ``evaluate`` knows nothing.
 
         The others lie where nothing was measured.
@@ -231,7 +227,7 @@ def _measure_distances(mesh: Mesh, points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1))
 
 
-def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> ExtendedField:
+def extrapolate(mesh: Mesh, displacement: Array, known: BoolArray) -> ExtendedField:
     """Extrapolate a displacement, (n_nodes, 2), pixels, from the nodes at which it is known, at least one.
 
     In each piece the affine map nearest to what is known goes on, and what this leaves is in equilibrium, with free
@@ -256,7 +252,7 @@ def extrapolate(mesh: Mesh, displacement: Array, known: NDArray[np.bool_]) -> Ex
     return ExtendedField(values, len(np.unique(pieces)) - len(maps))
 
 
-def _balance(mesh: Mesh, prescribed: Array, known: NDArray[np.bool_]) -> Array:
+def _balance(mesh: Mesh, prescribed: Array, known: BoolArray) -> Array:
     """Displacement of unknown nodes in equilibrium with prescribed ones; 0 at these."""
     values = np.zeros_like(prescribed)
     padded = mesh.cells

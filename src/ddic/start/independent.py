@@ -3,8 +3,6 @@
 And R-DIC of a few cells by one rank alone, whatever the case's solver is: levels of the pyramid, strips along a line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.correlation import read_correlation
 from ddic.functionals.grey_statistics import GreyCorrection
@@ -32,8 +31,6 @@ from ddic.solvers.gauss_newton import Progress, gauss_newton
 from ddic.solvers.local_operator import LocalOperator
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
 from ddic.start.coarse_displacement import LevelMesh
-
-Array = NDArray[np.float64]
 
 TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10, largest=np.inf)
 """Looser than any measurement's, which goes on from there."""

@@ -7,15 +7,13 @@ field. What surrounds a small region is looked at in smaller blocks. A level of 
 over binned images.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, IntArray
 from ddic.case.schema import StartSection
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
@@ -87,8 +85,6 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField],
         return grid.make_field(displacement, pair.factor)
     return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
 
-
-Array = NDArray[np.float64]
 
 SURE = 0.8
 """Correlation coefficient of a translation from which on nothing else is sought: the region then moves by little else.
@@ -365,12 +361,12 @@ def bin_surroundings(pixels: BinnedPair, mesh: Mesh, translation: Array) -> Surr
     return Surroundings(BinnedPair(parts[0], parts[1], factor), origin.astype(float), (moved - origin).astype(float))
 
 
-def _find_size(pixels: BinnedPair) -> NDArray[np.int64]:
+def _find_size(pixels: BinnedPair) -> IntArray:
     """Width and height of both images, pixels."""
     return np.array([pixels.reference.image.width, pixels.reference.image.height])
 
 
-def _find_extent(size: NDArray[np.int64], mesh: Mesh) -> NDArray[np.int64]:
+def _find_extent(size: IntArray, mesh: Mesh) -> IntArray:
     """Width and height of what is seen of an image, pixels."""
     sides = np.ptp(mesh.nodes, axis=0)
     return np.minimum(np.ceil(sides + 2 * MARGIN * sides.max()).astype(int), size)

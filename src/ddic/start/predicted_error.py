@@ -1,20 +1,16 @@
 """What binned images say of the error of a displacement, before anything is solved."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.start.binned_pair import CELL, BinnedPair, find_active_blocks, scale_mesh
-
-Array = NDArray[np.float64]
 
 IN_REACH = 0.5
 """Correlation coefficient of a square of blocks from which on its error can be predicted, and Gauss-Newton follows it.
@@ -85,13 +81,13 @@ def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Arra
     return _judge(*_sum_squares(f, _sample(pair.deformed, places), squares, seen), pair.factor)
 
 
-def _number_squares(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.int64]:
+def _number_squares(rows: IntArray, columns: IntArray) -> IntArray:
     """Square that each block lies in, from 0."""
     row, column = (rows - rows.min()) // CELL, (columns - columns.min()) // CELL
     return np.asarray(row * (column.max() + 1) + column)
 
 
-def _draw_squares(squares: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _draw_squares(squares: IntArray) -> BoolArray:
     """Blocks of the squares that are looked at: all, or some that are always the same."""
     numbers = np.unique(squares)
     if len(numbers) <= MOST_SQUARES:
@@ -101,7 +97,7 @@ def _draw_squares(squares: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(is_drawn[squares])
 
 
-def _find_seen(deformed: MaskedSource, places: Array) -> NDArray[np.bool_]:
+def _find_seen(deformed: MaskedSource, places: Array) -> BoolArray:
     """Places (row, column) in the deformed image that are in it, and count."""
     height, width = deformed.extent.height, deformed.extent.width
     inside = (places >= 0).all(axis=0) & (places[0] <= height - 1) & (places[1] <= width - 1)
@@ -121,8 +117,7 @@ def _sample(deformed: MaskedSource, places: Array) -> Array:
     return np.stack([grey, *slopes])
 
 
-def _sum_squares(f: Array, g: Array, squares: NDArray[np.int64], seen: NDArray[np.bool_],
-                 ) -> tuple[Array, Array, Array]:
+def _sum_squares(f: Array, g: Array, squares: IntArray, seen: BoolArray, ) -> tuple[Array, Array, Array]:
     """Of each square: its blocks, how many are seen, and covariances of f, g, dg/dx, dg/dy, (n, 4, 4)."""
     n = int(squares.max()) + 1
     n_blocks, own = np.bincount(squares, minlength=n).astype(float), squares[seen]

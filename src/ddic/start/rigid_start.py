@@ -1,7 +1,5 @@
 """Rigid translations that the pyramid starts from: of the region, and of each piece that lines cut it into."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,12 +1,10 @@
 """Where corrections of a separated displacement begin: the coarse field, or an earlier result, as products."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.images.rigid import GridField
 from ddic.inputs.cameras import Frame, MeasuredCells
 from ddic.inputs.rectangle import Rectangle
@@ -18,8 +16,6 @@ from ddic.start.coarse_displacement import KeptResult
 from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
 from ddic.start.given_start import EarlierResult, GivenStart
 from ddic.start.multilevel import MultilevelStart
-
-Array = NDArray[np.float64]
 
 KnownSeparatedStart = SeparatedField | GivenStart
 """A displacement to start from as it is, or one to go on from."""

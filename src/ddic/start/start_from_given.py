@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import StartSection
 from ddic.images.rigid import GridField, RigidShift, find_rigid_shift
 from ddic.mesh.interpolation import interpolate_located, locate
@@ -23,8 +23,6 @@ from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
 from ddic.start.multilevel import SURE, MultilevelStart, Pyramid
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import FEWEST_BLOCKS, FEWEST_OF_PIECE, LEAST_COEFFICIENT, RigidStart
-
-Array = NDArray[np.float64]
 
 RIGHT_PX = 1.0
 """Error, pixels, up to which a displacement is taken as it is: Gauss-Newton goes on from there. A larger value saves
@@ -198,8 +196,7 @@ def move_on(given: CutField, pair: BinnedPair) -> list[MovedOn]:
     return found
 
 
-def _find_shift(grey: Array, deformed: Array, blocks: NDArray[np.bool_], fewest: float,
-                factor: int) -> RigidShift | None:
+def _find_shift(grey: Array, deformed: Array, blocks: BoolArray, fewest: float, factor: int) -> RigidShift | None:
     """Translation of some blocks, pixels; None where it does not stand out."""
     if blocks.sum() < fewest:
         return None
@@ -207,7 +204,7 @@ def _find_shift(grey: Array, deformed: Array, blocks: NDArray[np.bool_], fewest:
     return found.scale(factor) if found.coefficient >= LEAST_COEFFICIENT else None
 
 
-def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, NDArray[np.int64]]:
+def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, IntArray]:
     """The reference image as the given displacement puts it into the deformed one, and the piece of each block."""
     before = scale_mesh(given.mesh, pair.factor)
     after = Mesh(before.nodes + given.displacement / pair.factor, before.connectivity, before.offsets, before.types)
@@ -236,7 +233,7 @@ def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, NDArray[np.int64]]
     return grey, pieces
 
 
-def _find_drawn(before: Mesh, after: Mesh) -> NDArray[np.bool_]:
+def _find_drawn(before: Mesh, after: Mesh) -> BoolArray:
     """Cells that a displacement neither folds nor tears."""
     plain = Mesh(before.nodes, before.connectivity, before.offsets, before.types)
     ratio = measure_areas(after) / measure_areas(plain)

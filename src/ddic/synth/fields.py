@@ -4,15 +4,14 @@ One of them is that of the plate with a circular hole in uniaxial tension (Kirsc
 plate, as it looks in a picture, belongs to it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 
 Pair = tuple[float, float]
@@ -21,11 +20,11 @@ Pair = tuple[float, float]
 class DisplacementField(Protocol):
     """A displacement known at every point of the plane, in the reference configuration."""
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u, (n, 2), at points (n, 2), both in pixels."""
         ...
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j, (n, 2, 2), no unit, at points (n, 2), pixels."""
         ...
 
@@ -58,11 +57,11 @@ class Translation:
     def __post_init__(self) -> None:
         require_finite("translation", vector=self.vector)
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
         return np.broadcast_to(np.array(self.vector, dtype=np.float64), points.shape).copy()
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
         return np.zeros((len(points), 2, 2))
 
@@ -89,11 +88,11 @@ class Affine:
         require_finite("affine", matrix=self.matrix[0] + self.matrix[1], vector=self.vector,
                        center=self.center)
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
         return np.asarray((points - np.array(self.center)) @ np.array(self.matrix).T + np.array(self.vector))
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
         return np.broadcast_to(np.array(self.matrix, dtype=np.float64), (len(points), 2, 2)).copy()
 
@@ -131,7 +130,7 @@ class Sinusoidal:
             if min(getattr(self, key)) <= 0:
                 raise InputError(f"sinusoidal: {key} = {getattr(self, key)}: must be positive")
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
         u = np.empty_like(points)
         angle_x, angle_y = _angles(points, self.wavelength_x, self.phase_x)
@@ -140,7 +139,7 @@ class Sinusoidal:
         u[:, 1] = self.offset[1] + self.amplitude[1] * np.cos(angle_x) * np.sin(angle_y)
         return u
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
         grad = np.empty((len(points), 2, 2))
         a, b = _angles(points, self.wavelength_x, self.phase_x)
@@ -154,8 +153,7 @@ class Sinusoidal:
         return grad
 
 
-def _angles(points: NDArray[np.float64], wavelength: Pair,
-            phase: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _angles(points: Array, wavelength: Pair, phase: Pair) -> tuple[Array, Array]:
     """Arguments of the waves along x and along y at points (n, 2), each (n,), radians."""
     along_x = points[:, 0] * (2 * np.pi / wavelength[0]) + phase[0]
     along_y = points[:, 1] * (2 * np.pi / wavelength[1]) + phase[1]
@@ -188,12 +186,12 @@ class Bending:
         require_finite("bending", curvature=self.curvature, center=self.center)
         require_poisson_ratio("bending", self.poisson_ratio)
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
         x, y = (points - np.array(self.center)).T
         return self.curvature * np.column_stack([-x * y, 0.5 * (x**2 + self.poisson_ratio * y**2)])
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
         x, y = (points - np.array(self.center)).T
         # Entries (i, j) of du_i/dx_j over the curvature, points last.
@@ -217,11 +215,11 @@ class Sum:
         if not self.terms:
             raise InputError("sum: terms: give at least one displacement field")
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
         return np.asarray(sum(term.displacement(points) for term in self.terms))
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
         return np.asarray(sum(term.gradient(points) for term in self.terms))
 
@@ -265,7 +263,7 @@ class Kirsch:
         if not (self.radius > 0 and math.isfinite(self.radius)):
             raise InputError(f"kirsch: radius = {self.radius}: must be positive")
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
         across, along = (points - np.array(self.center)).T / self.radius
         h, _, w, _ = _decaying_terms(across**2 + along**2)
@@ -276,7 +274,7 @@ class Kirsch:
         u_across = across * ((kappa - 3) + 2 * (1 - kappa) * h) + 2 * q * w
         return np.asarray(scale * np.column_stack([u_across, u_along]) + np.array(self.translation))
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
         across, along = (points - np.array(self.center)).T / self.radius
         h, dh, w, dw = _decaying_terms(across**2 + along**2)
@@ -303,15 +301,14 @@ class Kirsch:
         return kappa, scale
 
 
-def _cubics(along: NDArray[np.float64],
-            across: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _cubics(along: Array, across: Array) -> tuple[Array, Array]:
     """r^3 cos(3 theta) and r^3 sin(3 theta), theta measured from the direction of the load."""
     p = along * (along**2 - 3 * across**2)
     q = across * (3 * along**2 - across**2)
     return p, q
 
 
-def _decaying_terms(s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _decaying_terms(s: Array) -> tuple[Array, ...]:
     """Return h = 1/s, dh/ds, w = 1/s^2 - 1/s^3, dw/ds for s = (r / radius)^2, continued near the centre.
 
     Below the limit a function f becomes f(limit) + f'(limit) (s^2 - limit^2) / (2 limit): same value and
@@ -362,7 +359,7 @@ class Hole:
         if not 0 <= self.level <= 1:
             raise InputError(f"hole: level = {self.level}: must lie between 0 and 1")
 
-    def cut(self, grey: NDArray[np.float64], x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def cut(self, grey: Array, x: ArrayLike, y: ArrayLike) -> Array:
         """Cut the hole out of grey levels, fractions of full scale, taken at reference points x, y, pixels."""
         distance = np.hypot(np.asarray(x) - self.center[0], np.asarray(y) - self.center[1]) - self.radius
         matter = 0.5 * (1 + np.tanh(distance / self.edge))

@@ -1,15 +1,13 @@
 """A near-field and a far-field pair of one specimen, whose displacement and set-up are known exactly."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.io.replace_on_exit import NewFiles, begin_files
@@ -48,17 +46,17 @@ class SetUpMotion:
     def __post_init__(self) -> None:
         require_finite("near set-up", alpha=self.alpha, rotation_degrees=self.rotation_degrees, centre=self.centre)
 
-    def move(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move(self, points: Array) -> Array:
         """Evaluate T at points Y, (n, 2), pixels of the specimen's frame."""
         turned = (points - self.centre) @ self._rotation().T
         return np.asarray(turned + self.centre + self.alpha)
 
-    def move_back(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def move_back(self, points: Array) -> Array:
         """Evaluate the inverse of T at points T(Y), (n, 2), pixels of the specimen's frame."""
         turned = points - self.centre - np.array(self.alpha)
         return np.asarray(turned @ self._rotation() + self.centre)
 
-    def _rotation(self) -> NDArray[np.float64]:
+    def _rotation(self) -> Array:
         """R, (2, 2)."""
         return build_rotation(math.radians(self.rotation_degrees))
 
@@ -97,16 +95,16 @@ class NearScene:
     surface: Scene
     camera: NearCamera
 
-    def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reference_grey(self, points: Array) -> Array:
         """Evaluate the grey level f_n before the motion, (n,) fractions of full scale, at near pixels (n, 2)."""
         return self.surface.reference_grey(self.camera.mapping.to_specimen(points))
 
-    def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def deformed_grey(self, points: Array) -> Array:
         """Evaluate the grey level g_n after the motion at near pixels: f_n(phi(X)) = g_n(phi(T(X + u(X))))."""
         moved = self.camera.mapping.to_specimen(points)
         return self.surface.deformed_grey(self.camera.motion.move_back(moved))
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate phi(T(X + u(X))) - phi(X), near pixels, at points phi(X), (n, 2), of the near reference image."""
         specimen = self.camera.mapping.to_specimen(points)
         moved = self.camera.motion.move(specimen + self.surface.field.displacement(specimen))
@@ -217,6 +215,6 @@ def _require_ratio(ratio: float) -> None:
         raise InputError(f"near camera: ratio = {ratio}: must be above 1 near pixel per far pixel")
 
 
-def _translation(vector: Pair) -> NDArray[np.float64]:
+def _translation(vector: Pair) -> Array:
     """Homography that moves by a vector, (3, 3)."""
     return np.array([[1.0, 0.0, vector[0]], [0.0, 1.0, vector[1]], [0.0, 0.0, 1.0]])

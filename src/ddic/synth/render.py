@@ -4,8 +4,6 @@ The motion is inverted: which reference point lands on a given point of the defo
 size, and turns exact grey levels into the values that an image stores: noise, clipping and rounding.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError, InputError
 from ddic.images.window import Window
 from ddic.io.replace_on_exit import NewFiles, begin_files
@@ -30,7 +29,7 @@ _MAX_ITERATIONS = 50
 _FAST = 0.01
 
 
-def find_reference_points(field: DisplacementField, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def find_reference_points(field: DisplacementField, points: Array) -> Array:
     """Solve x + u(x) = y for x (n, 2) at deformed points y (n, 2), pixels.
 
     Newton's method on the displacement v = y - x, stopped when |u(y - v) - v| <= 1e-12 px (or four roundings of the
@@ -59,8 +58,7 @@ def find_reference_points(field: DisplacementField, points: NDArray[np.float64])
         "use a smoother displacement field")
 
 
-def _inverse_of_motion(gradient: NDArray[np.float64], x: NDArray[np.float64]) -> tuple[
-        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _inverse_of_motion(gradient: Array, x: Array) -> tuple[ Array, Array, Array, Array]:
     """Entries 00, 01, 10, 11 of (I + grad u)^-1 at x (n, 2), each (n,)."""
     a, b = 1 + gradient[:, 0, 0], gradient[:, 0, 1]
     c, d = gradient[:, 1, 0], 1 + gradient[:, 1, 1]
@@ -112,7 +110,7 @@ class Digitiser:
         """Type of the stored values: uint8, uint16 or float32."""
         return _DTYPES[self.bit_depth]
 
-    def store(self, grey: NDArray[np.float64], stream: tuple[int, ...]) -> Stored:
+    def store(self, grey: Array, stream: tuple[int, ...]) -> Stored:
         """Turn grey levels of any shape, fractions of full scale, into stored values of type ``dtype``.
 
         The seed and the numbers of ``stream`` fix the noise; different streams are independent.
@@ -156,7 +154,7 @@ class Picture:
         return (self.width - 1) / 2, (self.height - 1) / 2
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Array:
         """Centres of the four corner pixels (4, 2), pixels."""
         right = self.width - 1.0
         bottom = self.height - 1.0
@@ -185,11 +183,11 @@ class ImagePair:
 class Pictured(Protocol):
     """What a camera sees before and after the motion, at any point of its picture."""
 
-    def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reference_grey(self, points: Array) -> Array:
         """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
         ...
 
-    def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def deformed_grey(self, points: Array) -> Array:
         """Evaluate the grey level g after the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
         ...
 
@@ -212,13 +210,13 @@ class Scene:
     field: DisplacementField
     hole: Hole | None = None
 
-    def reference_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reference_grey(self, points: Array) -> Array:
         """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
         x, y = points.T
         grey = self.texture.grey(x, y)
         return grey if self.hole is None else self.hole.cut(grey, x, y)
 
-    def deformed_grey(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def deformed_grey(self, points: Array) -> Array:
         """Evaluate the grey level g after the motion at points y: f at the solution x of x + u(x) = y."""
         return self.reference_grey(find_reference_points(self.field, points))
 

@@ -3,15 +3,14 @@
 One painted surface seen at two magnifications: coarse spots that both cameras see, fine spots that one resolves.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.synth import speckle_kernels as kernels
 
@@ -59,7 +58,7 @@ class SpeckleTexture:
         if not (self.size_factor > 0 and math.isfinite(self.size_factor)):
             raise InputError(f"texture: size_factor = {self.size_factor}: must be positive")
 
-    def evaluate(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def evaluate(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Evaluate the texture s, of mean 0 and standard deviation 0.6, at points of any common shape, pixels.
 
         The speckles' tails that are cut sum to less than 1e-7. Raises InputError if a coordinate is not finite, or too
@@ -78,11 +77,11 @@ class SpeckleTexture:
         scaled = (raw - RAW_MEAN) * (TEXTURE_DEVIATION / RAW_DEVIATION)
         return scaled.reshape(x.shape)
 
-    def grey(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def grey(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Evaluate the grey level 0.5 - 0.45 tanh s, a fraction of full scale, at points of any shape, pixels."""
         return np.asarray(0.5 - 0.45 * np.tanh(self.evaluate(x, y)))
 
-    def _sum_of_speckles(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _sum_of_speckles(self, x: Array, y: Array) -> Array:
         """Sum of Gaussians at points x, y (n,) in texture units, drawing the cells of their bounding box."""
         column0, n_columns = _cells_in_reach(x)
         row0, n_rows = _cells_in_reach(y)
@@ -93,15 +92,14 @@ class SpeckleTexture:
         return np.asarray(kernels.sum_speckles(x, y, cells, starts, speckles))
 
 
-def _cells_in_reach(coordinates: NDArray[np.float64]) -> tuple[int, int]:
+def _cells_in_reach(coordinates: Array) -> tuple[int, int]:
     """First cell and number of cells, along one axis, whose speckles may reach the coordinates (n,)."""
     first = math.floor((coordinates.min() - kernels.REACH) / kernels.CELL_SIZE)
     last = math.floor((coordinates.max() + kernels.REACH) / kernels.CELL_SIZE)
     return first, last - first + 1
 
 
-def _compact_groups(x: NDArray[np.float64],
-                    y: NDArray[np.float64]) -> Iterator[slice | NDArray[np.int64]]:
+def _compact_groups(x: Array, y: Array) -> Iterator[slice | IntArray]:
     """Split points x, y (n,) into groups whose bounding boxes are small enough to draw at once."""
     if len(x) == 0:
         return
@@ -138,7 +136,7 @@ class TwoScaleTexture:
         if not 0 <= self.fine_share <= 1:
             raise InputError(f"texture: fine_share = {self.fine_share}: must lie between 0 and 1")
 
-    def grey(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def grey(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Evaluate the grey level, a fraction of full scale, at points in pixels of the specimen's frame."""
         coarse = np.tanh(self.coarse.evaluate(x, y))
         fine = np.tanh(self.fine.evaluate(x, y))

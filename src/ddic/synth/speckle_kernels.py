@@ -5,14 +5,13 @@ the seed and on the cell's number alone, so any part of the plane can be drawn w
 Lengths here are in texture units: pixels divided by the texture's size factor.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+
+from ddic.arrays import Array, IntArray
 
 # Lengths in texture units; any other number draws another texture from the same seed.
 CELL_SIZE = 4.0
@@ -98,7 +97,7 @@ def _poisson_py(u: float) -> int:
 _poisson = numba.njit(cache=True, inline="always")(_poisson_py)
 
 
-def _count_speckles_py(seed: np.uint64, cells: CellBlock) -> NDArray[np.int64]:
+def _count_speckles_py(seed: np.uint64, cells: CellBlock) -> IntArray:
     """First speckle of each cell of a block, row by row, and the total at the end."""
     starts = np.zeros(cells.n_rows * cells.n_columns + 1, dtype=np.int64)
     for row in range(cells.n_rows):
@@ -112,7 +111,7 @@ def _count_speckles_py(seed: np.uint64, cells: CellBlock) -> NDArray[np.int64]:
 count_speckles = numba.njit(cache=True)(_count_speckles_py)
 
 
-def _draw_speckles_py(seed: np.uint64, cells: CellBlock, starts: NDArray[np.int64]) -> NDArray[np.float64]:
+def _draw_speckles_py(seed: np.uint64, cells: CellBlock, starts: IntArray) -> Array:
     """Columns x, y, amplitude and 1 / (2 sigma^2) of the speckles that ``starts`` counts, shape (n, 4)."""
     speckles = np.empty((starts[-1], 4))
     for cell in range(len(starts) - 1):
@@ -154,7 +153,7 @@ def _gaussian_py(t: float) -> float:
 _gaussian = numba.njit(cache=True, inline="always", fastmath={"contract"})(_gaussian_py)
 
 
-def _group_end_py(x: NDArray[np.float64], y: NDArray[np.float64], first: int) -> int:
+def _group_end_py(x: Array, y: Array, first: int) -> int:
     """End of the run of neighbouring points, at most _GROUP of them, that starts at ``first``."""
     end = first + 1
     while (end < len(x) and end - first < _GROUP
@@ -166,8 +165,7 @@ def _group_end_py(x: NDArray[np.float64], y: NDArray[np.float64], first: int) ->
 _group_end = numba.njit(cache=True)(_group_end_py)
 
 
-def _add_speckles_py(speckles: NDArray[np.float64], px: NDArray[np.float64], py: NDArray[np.float64],
-                     total: NDArray[np.float64]) -> None:
+def _add_speckles_py(speckles: Array, px: Array, py: Array, total: Array) -> None:
     """Add speckles (n, 4) to ``total`` at the _GROUP points px, py."""
     for s in range(len(speckles)):
         sx, sy, amplitude, rate = speckles[s, 0], speckles[s, 1], speckles[s, 2], speckles[s, 3]
@@ -181,8 +179,7 @@ def _add_speckles_py(speckles: NDArray[np.float64], px: NDArray[np.float64], py:
 _add_speckles = numba.njit(cache=True, fastmath={"contract"})(_add_speckles_py)
 
 
-def _sum_speckles_py(x: NDArray[np.float64], y: NDArray[np.float64], cells: CellBlock, starts: NDArray[np.int64],
-                     speckles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _sum_speckles_py(x: Array, y: Array, cells: CellBlock, starts: IntArray, speckles: Array) -> Array:
     """Sum of the speckles at points x, y (n,), all at least REACH inside the block of cells."""
     out = np.empty(len(x))
     px, py, total = np.empty(_GROUP), np.empty(_GROUP), np.empty(_GROUP)

@@ -3,8 +3,6 @@
 That of a near-field and far-field pair gives exact displacements in both cameras' pixels.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable
@@ -13,8 +11,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.io.text_files import write_json
@@ -138,20 +136,20 @@ class NearFarTruth:
     motion: SetUpMotion
     near_size: tuple[int, int]
 
-    def displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u, far pixels, at points X, (n, 2), pixels of the specimen's frame."""
         return self.field.displacement(points)
 
-    def gradient(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dX_j, (n, 2, 2), no unit, at points X, pixels of the specimen's frame."""
         return self.field.gradient(points)
 
-    def near_displacement(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def near_displacement(self, points: Array) -> Array:
         """Evaluate phi(T(X + u(X))) - phi(X), near pixels, at points X, (n, 2), pixels of the specimen's frame."""
         moved = self.motion.move(points + self.field.displacement(points))
         return np.asarray(self.mapping.to_image(moved) - self.mapping.to_image(points))
 
-    def is_in_near_field(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_in_near_field(self, points: Array) -> BoolArray:
         """Find which points X, (n, 2), pixels of the specimen's frame, the near reference image shows, (n,)."""
         seen = self.mapping.to_image(points)
         largest = np.array(self.near_size) - 1

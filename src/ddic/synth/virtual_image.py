@@ -1,12 +1,10 @@
 """A deformed image made from one's own reference image and a displacement known at its pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
+from ddic.arrays import Array
 
 DEGREE = 5
 """Of the spline that moves the image: another one than the cubic that measures, or its errors would cancel."""

@@ -5,14 +5,12 @@ which Gauss-Newton takes for a displacement. The light is continuous: offsets of
 interpolated between them, tell its slope.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array
 from ddic.functionals.grey_statistics import GreyCorrection, find_weighted_median
 from ddic.functionals.view import FrameView
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
@@ -22,8 +20,6 @@ from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import ByView, add_views
 from ddic.problem.residual_model import ResidualModel
 from ddic.visibility.seen_cells import SeenCells, TypicalCell
-
-Array = NDArray[np.float64]
 
 SEEN = 0.9
 """Correlation coefficient of f and g in a cell, relative to what contrast and noise let expect, from which on its

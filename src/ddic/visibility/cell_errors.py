@@ -3,17 +3,15 @@
 What the log says of cells and pixels that are excluded, and where they lie.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import find_weighted_median
 from ddic.functionals.view import View
@@ -24,8 +22,6 @@ from ddic.problem.renewal import find_displaced_nodes, find_free_unknowns, find_
 from ddic.problem.residual_model import Evaluation
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
-
-Array = NDArray[np.float64]
 
 DOUBTFUL_PX = 0.15
 """Error of a cell, pixels, from which on it is marked. A larger value marks fewer cells and lets larger errors pass."""
@@ -53,7 +49,7 @@ class CellErrors:
     """
 
     equivalent: Array
-    doubtful: NDArray[np.bool_]
+    doubtful: BoolArray
 
 
 @dataclass(frozen=True)
@@ -131,7 +127,7 @@ def _find_errors(cells: CellResiduals, noise: float) -> CellErrors:
     return CellErrors(equivalent, doubtful | (cells.n_pixels == 0))
 
 
-def find_noisy_cells(mesh: Mesh, deviations: Array) -> NDArray[np.bool_]:
+def find_noisy_cells(mesh: Mesh, deviations: Array) -> BoolArray:
     """Find the cells with a node that noise moves by more than a cell may be off, as two of its standard deviations.
 
     ``deviations``, (n_nodes,), are those of each node's displacement, pixels.
@@ -139,8 +135,7 @@ def find_noisy_cells(mesh: Mesh, deviations: Array) -> NDArray[np.bool_]:
     return np.asarray((2.0 * deviations > DOUBTFUL_PX)[pad_cells(mesh)].any(axis=1))
 
 
-def describe_lost_field(team: Team, are_noisy: Sequence[NDArray[np.bool_]],
-                        are_shown: Sequence[NDArray[np.bool_]]) -> str:
+def describe_lost_field(team: Team, are_noisy: Sequence[BoolArray], are_shown: Sequence[BoolArray]) -> str:
     """Say that noise alone moves nearly all cells too far for a field to be believed; collective.
 
     ``are_noisy`` is what ``find_noisy_cells`` finds, ``are_shown`` which cells have pixels that count, of owned
@@ -170,7 +165,7 @@ def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[s
     return (f"{line}: {told}" if told else line,)
 
 
-def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[NDArray[np.bool_]]:
+def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[BoolArray]:
     """Find the nodes of owned subdomains that neither the pixels that count nor mechanics hold; collective."""
     subdomains = problem.reference.subdomains
     if problem.reference.inputs.case.regularization is not None:
@@ -209,7 +204,7 @@ def describe_exclusions(team: Team, subdomains: Sequence[Subdomain], excluded: E
     return tuple(lines)
 
 
-def _bound_cells(subdomain: Subdomain, chosen: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int64]]:
+def _bound_cells(subdomain: Subdomain, chosen: BoolArray) -> tuple[Array, IntArray]:
     """Of some cells: first and last column, first and last row, (n, 4), pixels; and their nodes' numbers, (n, 4)."""
     mesh = subdomain.mesh
     nodes = pad_cells(mesh)[chosen]
@@ -219,7 +214,7 @@ def _bound_cells(subdomain: Subdomain, chosen: NDArray[np.bool_]) -> tuple[Array
     return boxes, subdomain.node_ids[nodes]
 
 
-def _name_places(boxes: Array, corners: NDArray[np.int64]) -> list[str]:
+def _name_places(boxes: Array, corners: IntArray) -> list[str]:
     """Boxes of cells that share nodes, the largest first."""
     _, nodes = np.unique(corners, return_inverse=True)
     cells = np.repeat(np.arange(len(boxes)), corners.shape[1])

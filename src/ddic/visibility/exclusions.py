@@ -16,6 +16,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError, as_collective
 from ddic.functionals.spoilt_pixels import cut_patches, find_spoilt_pixels
 from ddic.functionals.view import FrameView
@@ -46,8 +47,6 @@ from ddic.visibility.seen_cells import (
     TypicalCell,
     find_standing_out,
 )
-
-Array = NDArray[np.float64]
 
 KEPT, BLANK, SPOILT, UNSEEN, HELD_OFF = 0, 1, 2, 3, 4
 """Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows; and used
@@ -89,7 +88,7 @@ class Exclusions:
     """
 
     cells: ByView[NDArray[np.uint8]]
-    pixels: ByView[NDArray[np.int64]]
+    pixels: ByView[IntArray]
     pulled: ByView[HeldCells]
 
     @classmethod
@@ -144,7 +143,7 @@ class Exclusions:
         return bool(n_cells > 0 or n_changed > PIXELS_CHANGED * max(n_pixels, 1.0))
 
 
-def find_excluded(states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def find_excluded(states: NDArray[np.uint8]) -> BoolArray:
     """Find the cells of a view, (n_cells,), none of whose pixels counts."""
     return np.asarray((states != KEPT) & (states != HELD_OFF))
 
@@ -154,7 +153,7 @@ def exclude(model: ResidualModel, excluded: Exclusions) -> ResidualModel:
     return replace(model, views=model.views.map(_exclude_from_view, excluded.cells, excluded.pixels))
 
 
-def _exclude_from_view(view: FrameView, cells: NDArray[np.uint8], pixels: NDArray[np.int64]) -> FrameView:
+def _exclude_from_view(view: FrameView, cells: NDArray[np.uint8], pixels: IntArray) -> FrameView:
     is_excluded = find_excluded(cells)
     if not is_excluded.any() and not len(pixels):
         return view
@@ -193,7 +192,7 @@ class SeenView:
     """
 
     view: FrameView
-    q: NDArray[np.float64]
+    q: Array
     cells: SeenCells
     typical: TypicalCell
     judged: NDArray[np.uint8] | None
@@ -219,7 +218,7 @@ class Rules:
     uncertainty: tuple[float, ...] = ()
 
 
-def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8], NDArray[np.int64], HeldCells]:
+def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8], IntArray, HeldCells]:
     """Find what a view does not show: states of its cells, spoilt pixels, cells that are pulled.
 
     States, (n_cells,), are KEPT or why not; pixels, (n, 2), are column and row of spoilt ones in cells that are kept;
@@ -244,7 +243,7 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
     return states, np.concatenate(spots), _hold(seen, found)
 
 
-def _find_cells_beside(seen: SeenView, rules: Rules, cells: NDArray[np.int64]) -> dict[int, NDArray[np.float64]]:
+def _find_cells_beside(seen: SeenView, rules: Rules, cells: IntArray) -> dict[int, Array]:
     """How far the corners of some cells are seen beside where mechanics hold them, of those that are."""
     if not rules.is_regularized:
         # No mechanics hold anything off: what stands out is a mesh that cannot follow, or foreign.
@@ -253,7 +252,7 @@ def _find_cells_beside(seen: SeenView, rules: Rules, cells: NDArray[np.int64]) -
     return {cell: away for cell, away in found.items() if measure_distance(away) <= rules.limits.beside}
 
 
-def _hold(seen: SeenView, found: Mapping[int, NDArray[np.float64]]) -> HeldCells:
+def _hold(seen: SeenView, found: Mapping[int, Array]) -> HeldCells:
     """Where those cells are seen whose grey levels do not say the way there."""
     far = {cell: away for cell, away in found.items() if measure_distance(away) > CAPTURED}
     if not far:
@@ -285,8 +284,7 @@ def _judge_by_pixels(seen: SeenView, rules: Rules) -> NDArray[np.uint8]:
     return states
 
 
-def _search_cells(seen: SeenView, rules: Rules,
-                  searched: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64], float]]:
+def _search_cells(seen: SeenView, rules: Rules, searched: IntArray) -> Iterator[tuple[int, IntArray, float]]:
     """Cells that have spoilt pixels, or that a line may cross elsewhere than it is thought to.
 
     Beside them these pixels' columns and rows, (n, 2), and their share of the cell's pixels that are judged.
@@ -306,7 +304,7 @@ def _search_cells(seen: SeenView, rules: Rules,
             yield cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / max(n_judged, 1)
 
 
-def _find_uncertain_pixels(seen: SeenView, rules: Rules, box: Window) -> NDArray[np.bool_]:
+def _find_uncertain_pixels(seen: SeenView, rules: Rules, box: Window) -> BoolArray:
     """Pixels of a box that may lie beyond a line: those within its uncertainty."""
     correlation = seen.view.correlation
     uncertain = np.zeros((box.height, box.width), dtype=bool)
@@ -340,7 +338,7 @@ def exclude_weak_cells(whole: ResidualModel, excluded: Exclusions) -> Exclusions
 
 
 def _find_lost_nodes(subdomain: Subdomain, views: Sequence[FrameView],
-                     states: Sequence[NDArray[np.uint8]]) -> NDArray[np.bool_]:
+                     states: Sequence[NDArray[np.uint8]]) -> BoolArray:
     """Nodes of cells that the reference images show and no camera sees: what they leave out holds none in any frame."""
     in_reference = np.sum([view.prepared.count_pixels() for view in views], axis=0)
     are_lost = np.all([find_excluded(state) for state in states], axis=0) & (in_reference > 0)

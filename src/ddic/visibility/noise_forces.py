@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
 from ddic.functionals.correlation import Residual
@@ -46,8 +46,6 @@ from ddic.partition.subdomain import Subdomain
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
-
-Array = NDArray[np.float64]
 
 GIVEN, OF_REST, OF_RESIDUAL = "given", "of the images at rest", "estimated from the residual"
 
@@ -179,12 +177,12 @@ class _CellForces:
         M_e and b_e.
     """
 
-    numbers: NDArray[np.int64]
+    numbers: IntArray
     hessians: Array
     forces: Array
 
     @classmethod
-    def compute(cls, own: FrameView, residual: Residual, correction: tuple[Array, Array], is_sampled: NDArray[np.bool_],
+    def compute(cls, own: FrameView, residual: Residual, correction: tuple[Array, Array], is_sampled: BoolArray,
                 q: Array, *, follows: bool) -> _CellForces:
         """At a field, with the gradient that it is sought with."""
         view = own.confine(is_sampled).without_hidden(q)
@@ -298,14 +296,14 @@ def _sample(model: ResidualModel, covariances: ByView[Array], case: Case, transf
     n_samples = FEWEST_SAMPLES if case.regularization is None else MOST_SAMPLES
     places = place_cells(model.team, model.subdomains)
 
-    def prepare(view: FrameView, of_view: Array, subdomain: Subdomain, of_cells: NDArray[np.int64]) -> SampledCells:
+    def prepare(view: FrameView, of_view: Array, subdomain: Subdomain, of_cells: IntArray) -> SampledCells:
         return prepare_samples(of_view, subdomain.cell_ids, of_cells, view.camera, n_samples)
 
     cells = model.views.map(prepare, covariances, model.views.fill(model.subdomains), model.views.fill(places))
     return NoiseForces(model.views, cells, n_samples, transfer)
 
 
-def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[NDArray[np.int64]]:
+def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
     """Tell each cell's column and row of cells, (n_cells, 2), as in a regular mesh of as many cells; collective."""
     area, n_cells = team.ordered_sum([np.array([measure_covered_areas(s.mesh)[0].sum(), s.mesh.n_cells])
                                       for s in subdomains])
@@ -363,8 +361,7 @@ class ImageNoise:
     origin: str
 
 
-def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
-                     q: Field) -> ImageNoise:
+def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field) -> ImageNoise:
     """Find the noise of the images; collective.
 
     It is what is given, else that of the images at rest, else of the residual; of several cameras that by which they

@@ -1,13 +1,11 @@
 """How a frame shows the specimen at some displacement: its brightness, and what of it does not show the specimen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import BoolArray
 from ddic.case.schema import Case
 from ddic.functionals.view import CellSlopes, View
 from ddic.inputs.cameras import Camera
@@ -25,8 +23,6 @@ from ddic.visibility.seen_cells import (
     measure_seen_cells,
 )
 from ddic.visibility.sharpness import match_sharpness
-
-Array = NDArray[np.float64]
 
 SAME_SPECKLE = 0.8
 """Least correlation coefficient of f and g of a cell that is seen where it is thought to be: where nothing is seen,
@@ -55,7 +51,7 @@ class SeenFrame:
     evaluation: Evaluation
     typical: Mapping[int, TypicalCell]
     excluded: Exclusions
-    is_shown: ByView[NDArray[np.bool_]]
+    is_shown: ByView[BoolArray]
 
     def measure_shown_share(self) -> float:
         """Share of the cells that are seen where they are thought to be, each camera's counted; collective."""

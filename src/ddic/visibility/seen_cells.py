@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import find_flat, find_weighted_median, find_weighted_quantile
 from ddic.functionals.view import CellSlopes, FrameView
 from ddic.parallel.field import ByView
 from ddic.problem.residual_model import Evaluation, ResidualModel
-
-Array = NDArray[np.float64]
 
 FEWEST_PIXELS = 36
 """Pixels of a cell from which on a gain, an offset and single spoilt pixels can be told in it."""
@@ -88,7 +86,7 @@ class SeenCells:
     spread_g: Array
     coefficient: Array
 
-    def choose(self, chosen: NDArray[np.bool_]) -> SeenCells:
+    def choose(self, chosen: BoolArray) -> SeenCells:
         """Choose some of the cells."""
         return SeenCells(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
@@ -194,7 +192,7 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
                        find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)
 
 
-def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np.bool_]:
+def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> BoolArray:
     """Find the cells of a view that show pixels and stand out, (n_cells,).
 
     ``limit`` is the error of the displacement whose residual is believed, pixels; inf where any residual is.
@@ -205,7 +203,7 @@ def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> ND
     return np.asarray(is_off & (seen.n_pixels > 0))
 
 
-def _find_off(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np.bool_]:
+def _find_off(seen: SeenCells, typical: TypicalCell, limit: float) -> BoolArray:
     """Cells with the residual of a larger error of the displacement, beyond chance."""
     texture = np.maximum(seen.texture, max(WEAK_TEXTURE * typical.texture, TINY))
     # What an error leaves: |grad f|^2 error^2, halved since the error has any direction.
@@ -218,7 +216,7 @@ def _find_off(seen: SeenCells, typical: TypicalCell, limit: float) -> NDArray[np
     return np.asarray(is_large & (seen.unexplained > least))
 
 
-def _find_other_speckle(seen: SeenCells, typical: TypicalCell) -> NDArray[np.bool_]:
+def _find_other_speckle(seen: SeenCells, typical: TypicalCell) -> BoolArray:
     """Cells of enough contrast whose grey levels in both images are not alike."""
     contrast = seen.spread_f**2
     # Correlation coefficient of two images of the same speckle with noise.

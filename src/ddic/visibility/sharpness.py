@@ -3,14 +3,12 @@
 Else grad f is not the gradient of g, and Gauss-Newton strays; the residual would be the difference in sharpness.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.functionals.view import FrameView
 from ddic.images.binned import BLUR_NOTE, Blur, BlurredSource
 from ddic.images.sub_image import MaskedSource, read_reference
@@ -19,8 +17,6 @@ from ddic.mesh.plane import build_rotation
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.visibility.seen_cells import TypicalCell
-
-Array = NDArray[np.float64]
 
 UNLIKE = 0.03
 """Residual variance of most cells, relative to the contrast of the reference, from which on the sharpness of both
@@ -122,7 +118,7 @@ def _compare_contrasts(team: Team, one: Sequence[Array], other: Sequence[Array])
     return float(np.median(everywhere)) if len(everywhere) else 1.0
 
 
-def _sum_slopes(team: Team, images: Sequence[Array], shown: Sequence[NDArray[np.bool_]]) -> Array:
+def _sum_slopes(team: Team, images: Sequence[Array], shown: Sequence[BoolArray]) -> Array:
     """Sum of grad grad^T by central differences over the pixels with four neighbours, (2, 2); collective."""
     total = np.zeros((2, 2))
     for image, seen in zip(images, shown, strict=True):

@@ -4,14 +4,12 @@ A pass over the pixels is confined to the cells about slow nodes and their neigh
 as the linear theory says, b - M (q - q_0): they were small already, and the next pass over all pixels checks them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ddic.arrays import Array, BoolArray
 from ddic.functionals.grey_statistics import GreyState
 from ddic.functionals.view import FrameView
 from ddic.images.noise import NOISE_OF_SLOPE
@@ -25,9 +23,6 @@ from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_node_corrections
 from ddic.solvers.gauss_newton import Correction
 from ddic.solvers.local_system import LocalSystem
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 LEAST_KNOWN = 0.2
 """Least share of a node's diagonal that is taken for texture: a node that is lost in noise drags its neighbours too. A
@@ -54,7 +49,7 @@ class SlowNodes:
     """
 
     near: ResidualModel
-    rows: list[Flags]
+    rows: list[BoolArray]
     q: Field
     b: Field
     systems: list[LocalSystem]
@@ -106,13 +101,13 @@ def confine_to_slow_nodes(model: ResidualModel, correction: Correction, systems:
     return SlowNodes(near, rows, correction.q, correction.b, systems)
 
 
-def _join_copies(team: Team, subdomains: Sequence[Subdomain], nodes: Sequence[Flags]) -> list[Flags]:
+def _join_copies(team: Team, subdomains: Sequence[Subdomain], nodes: Sequence[BoolArray]) -> list[BoolArray]:
     """Nodes of which any copy is among some nodes, (n_nodes,) of each owned subdomain; collective."""
     n_copies = sum_shared_nodes(team, subdomains, [of_subdomain.astype(float)[:, None] for of_subdomain in nodes])
     return [of_subdomain[:, 0] > 0 for of_subdomain in n_copies]
 
 
-def _find_neighbours(subdomain: Subdomain, nodes: Flags) -> Flags:
+def _find_neighbours(subdomain: Subdomain, nodes: BoolArray) -> BoolArray:
     """Nodes that share a cell with some nodes, these included, (n_nodes,)."""
     corners = pad_cells(subdomain.mesh)
     found = np.array(nodes)
@@ -120,7 +115,7 @@ def _find_neighbours(subdomain: Subdomain, nodes: Flags) -> Flags:
     return found
 
 
-def _find_unknowns(subdomain: Subdomain, nodes: Flags) -> Flags:
+def _find_unknowns(subdomain: Subdomain, nodes: BoolArray) -> BoolArray:
     """Unknowns that displace some nodes, (n_unknowns,); those of a camera's motion rest."""
     found = np.zeros(subdomain.n_unknowns, dtype=bool)
     tangent = abs(subdomain.kinematics.tangent)
@@ -128,7 +123,7 @@ def _find_unknowns(subdomain: Subdomain, nodes: Flags) -> Flags:
     return found
 
 
-def _find_cells(subdomain: Subdomain, unknowns: Flags) -> Flags:
+def _find_cells(subdomain: Subdomain, unknowns: BoolArray) -> BoolArray:
     """Cells with a node that some unknowns displace, (n_cells,)."""
     nodes = find_displaced_nodes(subdomain, unknowns[:subdomain.n_field])
     return np.asarray(nodes[pad_cells(subdomain.mesh)].any(axis=1))

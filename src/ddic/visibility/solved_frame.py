@@ -4,12 +4,9 @@ Cells and pixels come and go with the field that they are judged by: they must c
 do not become smaller, but are far below the noise of the field.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.errors import ConvergenceError
 from ddic.parallel.field import Field
@@ -32,8 +29,6 @@ from ddic.visibility.brightness import ORDER
 from ddic.visibility.cell_errors import find_unmeasured_nodes
 from ddic.visibility.see_frame import SeenFrame, see_frame
 from ddic.visibility.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
-
-Array = NDArray[np.float64]
 
 ROUGHLY = 0.01
 """Correction of most nodes, pixels, from which on the field is good enough to look at the frame. A larger value looks
@@ -95,8 +90,7 @@ def begin_frame(seen: SeenFrame, used: ResidualModel, q: Field, notes: tuple[str
     return SolvedFrame(ContinuousField(q, 0.0), Solution(q, []), seen, used, notes, is_evaluated=False)
 
 
-def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress, *,
-                  roughly: bool) -> SolvedFrame:
+def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progress, *, roughly: bool) -> SolvedFrame:
     """Go on with Gauss-Newton, with the same operators; collective.
 
     Where all but a few nodes are found, these are iterated alone, and a pass over all pixels checks the others. It
@@ -258,8 +252,7 @@ class Looks:
         self.number, self.is_rough, self._is_regularized = 0, True, is_regularized
         self._was_found, self._fewest = False, np.inf
 
-    def choose(self, seen: SeenFrame, now: SeenFrame, q: Field, *,
-               is_paused: bool) -> tuple[SeenFrame, bool]:
+    def choose(self, seen: SeenFrame, now: SeenFrame, q: Field, *, is_paused: bool) -> tuple[SeenFrame, bool]:
         """Choose what to go on with at some unknowns, and tell whether it is other than before; collective."""
         team = now.whole.team
         self.number += 1

@@ -3,16 +3,14 @@
 These modes of a subdomain are the lowest eigenvectors of A_s with softened interface rows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import linalg, sparse
 
+from ddic.arrays import Array, IntArray
 from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.kinematics import Kinematics
 from ddic.parallel.team import Team
@@ -33,7 +31,7 @@ SHIFT = 1e-13
 modes); such a combination is no interface vector at all, and the shift keeps the factorisation from breaking on it. A
 larger one makes the coarse solution less exact."""
 
-SchurProduct = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+SchurProduct = Callable[[Array], Array]
 """S_s X from X, both (n interface unknowns, k)."""
 
 
@@ -49,7 +47,7 @@ class CoarseColumns:
         How many of them are of the first kind.
     """
 
-    vectors: NDArray[np.float64]
+    vectors: Array
     n_jumps: int
 
     @property
@@ -58,7 +56,7 @@ class CoarseColumns:
         return int(self.vectors.shape[1])
 
     @property
-    def signs(self) -> NDArray[np.float64]:
+    def signs(self) -> Array:
         """Sign of the coarse matrix's diagonal at each: 1 for jumps, -1 for reactions."""
         return np.repeat([1.0, -1.0], [self.n_jumps, self.n_columns - self.n_jumps])
 
@@ -85,7 +83,7 @@ class CoarsePart:
     columns: CoarseColumns
 
 
-def build_coarse_columns(modes: NDArray[np.float64], local: LocalDual) -> CoarseColumns:
+def build_coarse_columns(modes: Array, local: LocalDual) -> CoarseColumns:
     """Build a subdomain's coarse vectors, at most 2 k of k modes: their traces and reactions make separate ones."""
     traces = local.trace @ modes
     of_jumps = _find_basis(traces[:local.n_jumps])
@@ -93,7 +91,7 @@ def build_coarse_columns(modes: NDArray[np.float64], local: LocalDual) -> Coarse
     return CoarseColumns(np.asarray(linalg.block_diag(of_jumps, of_reactions)), of_jumps.shape[1])
 
 
-def _find_basis(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+def _find_basis(columns: Array) -> Array:
     """An orthonormal basis of the columns' span."""
     if columns.size == 0:
         return np.zeros((len(columns), 0))
@@ -156,7 +154,7 @@ class CoarseSpace:
         return products
 
     @staticmethod
-    def _factorize(team: Team, products: ParallelEntries, signs: NDArray[np.float64]) -> PETSc.KSP:
+    def _factorize(team: Team, products: ParallelEntries, signs: Array) -> PETSc.KSP:
         """The coarse matrix, its diagonal shifted by the signs, factorised."""
         with PetscStack() as temporary, PetscStack() as stack:
             matrix = temporary.keep(products.create_matrix())
@@ -188,7 +186,7 @@ def _assemble_z(team: Team, exchange: Exchange, parts: Sequence[CoarsePart], fir
     return entries.create_matrix()
 
 
-def _fetch_rows(matrix: PETSc.Mat, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], sparse.csr_matrix]:
+def _fetch_rows(matrix: PETSc.Mat, rows: IntArray) -> tuple[IntArray, sparse.csr_matrix]:
     """Rows of a parallel matrix that this rank asks for: the columns that occur, and the rows on these columns."""
     with PetscStack() as stack:
         numbers = to_petsc_integers(rows, "rows of the interface")
@@ -218,7 +216,7 @@ _EXTRA = 8
 """Vectors beyond those wanted, which make the iteration converge faster."""
 
 
-def find_low_energy_modes(system: LocalSystem, operator: LocalOperator) -> NDArray[np.float64]:
+def find_low_energy_modes(system: LocalSystem, operator: LocalOperator) -> Array:
     """Find the lowest eigenvectors of A_s with softened interface rows, by block inverse iteration from polynomials.
 
     A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse space needs their span, not each of
@@ -254,7 +252,7 @@ def _soften(system: LocalSystem) -> sparse.csr_matrix:
     return replace(system, stiffness=softened, projection=None).operator
 
 
-def _make_start(kinematics: Kinematics, n_columns: int) -> NDArray[np.float64]:
+def _make_start(kinematics: Kinematics, n_columns: int) -> Array:
     """Unknowns that fit polynomials of rising degree in each component, filled up with random vectors."""
     nodes = kinematics.mesh.nodes
     centred = nodes - nodes.mean(axis=0)
@@ -279,6 +277,6 @@ def _list_exponents(dim: int, n: int) -> list[tuple[int, ...]]:
     return found
 
 
-def _orthonormalize(block: NDArray[np.float64]) -> NDArray[np.float64]:
+def _orthonormalize(block: Array) -> Array:
     """An orthonormal basis of the columns, (n, k)."""
     return np.asarray(linalg.qr(block, mode="economic")[0])

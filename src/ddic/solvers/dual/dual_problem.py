@@ -4,15 +4,13 @@ Its dual Schur complement S_tot is a PETSc shell operator; what PETSc asks of su
 of near-field set-ups in the interface problem is eliminated exactly by the preconditioner.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.arrays import Array
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import rows_of
@@ -140,14 +138,14 @@ class MotionPreconditioner:
         """Free PETSc's objects; PETSc calls it too, when the preconditioner goes whose context this is."""
         self._objects.close()
 
-    def _take(self, vector: PETSc.Vec) -> NDArray[np.float64]:
+    def _take(self, vector: PETSc.Vec) -> Array:
         """Alpha's rows of a vector, on all ranks; collective."""
         mine = np.zeros(self._n)
         if self._here is not None:
             mine[:] = vector.getArray(readonly=1)[self._here]
         return self._team.sum(mine)
 
-    def _put(self, vector: PETSc.Vec, values: NDArray[np.float64]) -> None:
+    def _put(self, vector: PETSc.Vec, values: Array) -> None:
         """Overwrite alpha's rows of a vector."""
         if self._here is not None:
             vector.getArray()[self._here] = values
@@ -160,14 +158,14 @@ def _find_last_rows(vector: PETSc.Vec, n: int) -> slice | None:
     return slice(begin - first, end - first) if end > begin else None
 
 
-def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, NDArray[np.float64]]:
+def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, Array]:
     """Sum kappa = sum_s diag R_s^T M_s R_s of every camera whose set-up moves; collective.
 
     The result, (n_motion,) by the camera's number, has grey levels squared per pixel squared.
     """
     mine = [(system.subdomain.camera, system.motion_block.diagonal())
             for system in systems if system.subdomain.motion is not None]
-    scales: dict[int, NDArray[np.float64]] = {}
+    scales: dict[int, Array] = {}
     for camera, diagonal in team.gather_lists(mine):
         scales[camera] = scales.get(camera, 0.0) + diagonal
     return scales

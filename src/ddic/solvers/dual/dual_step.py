@@ -1,14 +1,12 @@
 """The linear step of Gauss-Newton by dual domain decomposition: dq_s and S_tot, Eq. 24-31 of [BP17]."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ddic.arrays import Array
 from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -143,8 +141,7 @@ class DualStep:
             return self._problem.correct(nothing, multipliers).measure_rms()
 
 
-def _solve_alone(subdomain: Subdomain, q_s: NDArray[np.float64], b_s: NDArray[np.float64], system: LocalSystem,
-                 local: LocalDual) -> NDArray[np.float64]:
+def _solve_alone(subdomain: Subdomain, q_s: Array, b_s: Array, system: LocalSystem, local: LocalDual) -> Array:
     """A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), the motion of the subdomain's camera held."""
     n = subdomain.n_field
     return local.operator.solve(system.right_hand_side(b_s[:n], q_s[:n]))

@@ -6,10 +6,10 @@ Directions are kept from earlier interface problems with the same operator.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import linalg
 
+from ddic.arrays import Array
 from ddic.errors import ConvergenceError, as_collective
 from ddic.parallel.team import Team
 from ddic.solvers.dual.coarse_space import CoarseSpace
@@ -45,25 +45,25 @@ class RecycledSpace:
 
     def forget(self) -> None:
         """Keep nothing."""
-        self._directions: NDArray[np.float64] = np.zeros((self._n_owned, 0))
-        self._images: NDArray[np.float64] = np.zeros((self._n_owned, 0))
+        self._directions: Array = np.zeros((self._n_owned, 0))
+        self._images: Array = np.zeros((self._n_owned, 0))
 
     @property
     def size(self) -> int:
         """Number of directions kept."""
         return self._images.shape[1]
 
-    def reduce(self, residual: NDArray[np.float64], solution: NDArray[np.float64]) -> None:
+    def reduce(self, residual: Array, solution: Array) -> None:
         """Add U C^T r to a solution v and take C C^T r from its residual r, owned rows, in place; collective."""
         coefficients = self._find_coefficients(residual)
         solution += self._directions @ coefficients
         residual -= self._images @ coefficients
 
-    def project(self, vector: NDArray[np.float64]) -> None:
+    def project(self, vector: Array) -> None:
         """Take C C^T x from x, owned rows, in place; collective."""
         vector -= self._images @ self._find_coefficients(vector)
 
-    def learn(self, directions: NDArray[np.float64], images: NDArray[np.float64]) -> None:
+    def learn(self, directions: Array, images: Array) -> None:
         """Keep what is new in some pairs y, S_tot y, (n_owned, k) both; collective."""
         # Twice, for after once the new images are orthogonal to the old ones to a few digits only.
         for _ in range(2):
@@ -74,8 +74,7 @@ class RecycledSpace:
         self._directions = np.hstack([self._directions, directions])[:, -LARGEST:]
         self._images = np.hstack([self._images, images])[:, -LARGEST:]
 
-    def _orthonormalize(self, directions: NDArray[np.float64],
-                        images: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _orthonormalize(self, directions: Array, images: Array) -> tuple[Array, Array]:
         """Combine pairs so that their images are orthonormal; dependent ones go."""
         gram = self._team.sum(images.T @ images)
         values, vectors = linalg.eigh(gram)
@@ -84,7 +83,7 @@ class RecycledSpace:
         change = vectors[:, is_independent] / np.sqrt(values[is_independent])
         return directions @ change, images @ change
 
-    def _find_coefficients(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _find_coefficients(self, vector: Array) -> Array:
         """C^T x."""
         return self._team.sum(self._images.T @ vector)
 
@@ -163,7 +162,7 @@ class InterfaceSolver:
             self._renew_residual(right)
         return self._use_kept()
 
-    def solve(self, right: PETSc.Vec, stop: float) -> tuple[int, NDArray[np.float64]]:
+    def solve(self, right: PETSc.Vec, stop: float) -> tuple[int, Array]:
         """Iterate on t_tot from ``start`` until the norm of the residual is no larger than ``stop``; collective.
 
         Returns the number of iterations and the norms of the residual. Raises ConvergenceError on all ranks.
@@ -239,8 +238,8 @@ class _Deflated:
     def __init__(self, operator: DualSchurOperator, n_owned: int) -> None:
         self.space = RecycledSpace(operator.team, n_owned)
         self._operator = operator
-        self._directions: list[NDArray[np.float64]] = []
-        self._images: list[NDArray[np.float64]] = []
+        self._directions: list[Array] = []
+        self._images: list[Array] = []
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply by (I - C C^T) S_tot: PETSc's callback."""

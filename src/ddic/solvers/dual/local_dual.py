@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from ddic.arrays import Array, IntArray
 from ddic.functionals.scale_rows import scale_rows
 from ddic.partition.subdomain import signed_incidence
 from ddic.solvers.local_operator import LocalOperator
@@ -50,12 +50,12 @@ class LocalDual:
     operator: LocalOperator
     incidence: sparse.csc_matrix
     trace: sparse.csr_matrix
-    compliance: NDArray[np.float64]
+    compliance: Array
     jump: sparse.csc_matrix
     n_jumps: int
     motion: MotionRows | None = None
 
-    def multiply_schur(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    def multiply_schur(self, columns: Array) -> Array:
         """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, not formed, in blocks: no array of (n_field, k) is held.
 
         S_tot is the sum of B_s S_s B_s^T, Eq. 34-35 of [BP17].
@@ -91,14 +91,13 @@ class MotionRows:
         kappa = sum_s diag R_s^T M_s R_s, which makes the rows' residuals pixels.
     """
 
-    rows: NDArray[np.int64]
-    columns: NDArray[np.float64]
-    block: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    rows: IntArray
+    columns: Array
+    block: Array
+    scale: Array
 
 
-def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArray[np.int64],
-                     scale: float) -> LocalDual:
+def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: IntArray, scale: float) -> LocalDual:
     """Build a subdomain's interface operators, of the field alone: ``system`` is without the motion of its camera.
 
     Jumps and reactions are split into the assembly B_s and the trace T_s on its own interface, Eq. 33 of [BP17].
@@ -122,8 +121,7 @@ def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: NDArr
     return LocalDual(operator, incidence, trace, compliance, incidence @ trace, len(jumps.unknowns))
 
 
-def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.int64],
-                    scales: dict[int, NDArray[np.float64]]) -> LocalDual:
+def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: IntArray, scales: dict[int, Array]) -> LocalDual:
     """Add the rows of the motion of the subdomain's camera, where that moves: Eq. 21 of [BP17].
 
     ``system`` is with the motion of its camera, ``ghosts`` are as for ``build_local_dual``, ``scales`` is kappa of
@@ -140,7 +138,7 @@ def add_motion_rows(local: LocalDual, system: LocalSystem, ghosts: NDArray[np.in
     return replace(local, jump=jump, motion=motion)
 
 
-def _select(places: NDArray[np.int64], size: int) -> sparse.csr_matrix:
+def _select(places: IntArray, size: int) -> sparse.csr_matrix:
     """The matrix that takes the entries at some places out of a vector, (n places, size)."""
     n = len(places)
     return sparse.csr_matrix((np.ones(n), places, np.arange(n + 1)), shape=(n, size))
@@ -164,7 +162,7 @@ class RankDual:
         compliance = sparse.diags(np.concatenate([local.compliance for local in local_duals]))
         self._compliance = (incidence @ compliance @ incidence.T).tocsr()
 
-    def apply(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, v: Array) -> Array:
         """Sum G_s A_s^-1 G_s^T v - H_s v, the rank's part of S_tot v, with one local solve of each subdomain."""
         y = np.concatenate(self.solve_forces(v))
         out = np.asarray(self._jump @ y - self._compliance @ v)
@@ -173,13 +171,13 @@ class RankDual:
                 out[local.motion.rows] -= local.motion.block @ v[local.motion.rows]
         return out
 
-    def solve_forces(self, v: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    def solve_forces(self, v: Array) -> list[Array]:
         """Find what multipliers v, (n ghost rows,), do to the fields: A_s^-1 G_s^T v of each subdomain, (n_field,)."""
         forces = self._jump_transposed @ v
         return [local.operator.solve(forces[place])
                 for local, place in zip(self._local_duals, self._fields, strict=True)]
 
-    def sum_jumps(self, fields: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    def sum_jumps(self, fields: Sequence[Array]) -> Array:
         """Sum what fields y_s, (n_field,), contribute to the rows: sum of G_s y_s, (n ghost rows,)."""
         return np.asarray(self._jump @ np.concatenate(fields))
 

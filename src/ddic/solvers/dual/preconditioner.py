@@ -5,17 +5,15 @@ preconditioner combines the scaled block inverse and a coarse space as A-DEF2. W
 stands below them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy import linalg, sparse
 
+from ddic.arrays import Array
 from ddic.errors import SingularSubdomainError
 from ddic.parallel.phases import PhaseClock
 from ddic.partition.subdomain import scaled_incidence
@@ -73,7 +71,7 @@ class SparseInverse:
         if self._factor.getInertia()[:2] != (n_negative, 0):
             raise SingularSubdomainError(SINGULAR_INTERFACE)
 
-    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, r: Array) -> Array:
         """Apply S_s^-1 to r, (n interface unknowns,)."""
         self._right.getArray()[self._n_field:] = -r
         self._factor.solve(self._right, self._left)
@@ -105,13 +103,13 @@ SINGULAR_PIVOT = 1e-14
 of the precision of a number."""
 
 
-def assemble_schur(local: LocalDual) -> NDArray[np.float64]:
+def assemble_schur(local: LocalDual) -> Array:
     """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, symmetric, Eq. 36 of [BP17]."""
     schur = local.multiply_schur(np.eye(len(local.compliance)))
     return np.asarray(0.5 * (schur + schur.T))
 
 
-def invert_by_blocks(schur: NDArray[np.float64], n_jumps: int) -> NDArray[np.float64]:
+def invert_by_blocks(schur: Array, n_jumps: int) -> Array:
     """Invert S_s by blocks, Eq. 38-40 of [BP17] with the misprints of Eq. 38 put right.
 
     With a = S^ll, of size ``n_jumps``, b = S^l(lbar), d = S^(lbar)(lbar) - b^T a^-1 b the inverse is
@@ -133,7 +131,7 @@ def invert_by_blocks(schur: NDArray[np.float64], n_jumps: int) -> NDArray[np.flo
     return out
 
 
-def _invert_definite(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _invert_definite(matrix: Array) -> Array:
     """The inverse of a symmetric positive definite matrix; raises SingularSubdomainError."""
     try:
         factor = linalg.cho_factor(matrix, lower=True)
@@ -152,7 +150,7 @@ def _invert_definite(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 class LocalInverse(Protocol):
     """S_s^-1 of one subdomain, dense or factorised."""
 
-    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, r: Array) -> Array:
         """Apply S_s^-1 to r, (n interface unknowns,)."""
         ...
 
@@ -171,9 +169,9 @@ class DenseInverse:
         Of ``invert_by_blocks``.
     """
 
-    matrix: NDArray[np.float64]
+    matrix: Array
 
-    def apply(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, r: Array) -> Array:
         """Apply S_s^-1 to r, (n interface unknowns,)."""
         return np.asarray(self.matrix @ r)
 
@@ -210,7 +208,7 @@ class DualPreconditioner:
 
     applyTranspose = apply
 
-    def apply_own(self, r: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply_own(self, r: Array) -> Array:
         """Sum B_s S_s^-1 B_s^T r, (n ghost rows,), over this rank's subdomains; free of communication."""
         on_interfaces = self._assembly_transposed @ r
         solved = [inverse.apply(on_interfaces[place])
