@@ -100,7 +100,7 @@ def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDA
 
 def _find_absent(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> BoolArray | None:
     absent = None if usable is None else usable == 0
-    if np.issubdtype(pixels.dtype, np.floating):
+    if pixels.dtype.kind == "f":
         not_finite = ~np.isfinite(pixels)
         absent = not_finite if absent is None else absent | not_finite
     return absent

@@ -112,7 +112,7 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     pad = PADDING[degree]
     out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
     inner = window.grow(pad).intersection(source.extent)
-    held = _hold(source, inner, degree, find_usable)
+    held = _hold(source, inner, HALO[degree], find_usable)
 
     def fill(bands: Iterator[Window]) -> None:
         for band, coefficients in _coefficient_bands(held, bands, degree):
@@ -137,10 +137,12 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     prefilter along columns. ``find_usable`` is as for ``read_spline``. With ``excludes_taps`` the pixels whose slope is
     taken from an excluded one are left out, otherwise only the excluded ones.
     """
-    values, slopes = (np.empty(shape, dtype=np.float32) for shape in (window.shape, (2, *window.shape)))
-    held = _hold(source, window.grow(PADDING[degree]), degree, find_usable)
+    values = np.empty(window.shape, dtype=np.float32)
+    slopes = np.empty((2, *values.shape), dtype=np.float32)
+    halo = HALO[degree] + PADDING[degree]
+    held = _hold(source, window, halo, find_usable)
     wide = held.window
-    n_rows, halo = max(_BLOCK // wide.width, TURNED), HALO[degree] + PADDING[degree]
+    n_rows = max(_BLOCK // wide.width, TURNED)
 
     def along_x(blocks: Iterator[Window]) -> None:
         buffer = held.buffer(n_rows)
@@ -152,10 +154,10 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
         buffer = held.buffer(_BAND_ROWS + 2 * halo)
         for band in bands:
             place = slice(band.y0 - window.y0, band.y1 - window.y0)
-            tall = band.grow(halo).intersection(wide)
-            block = held.read(window.take_rows(tall.y0, tall.y1), buffer)
+            top, bottom = max(band.y0 - halo, wide.y0), min(band.y1 + halo, wide.y1)
+            block = held.read(window.take_rows(top, bottom), buffer)
             prefilter_columns(block, degree)
-            write_column_slopes(block, band.y0 - tall.y0, degree, slopes[1, place])
+            write_column_slopes(block, band.y0 - top, degree, slopes[1, place])
             values[place] = held.restrict(band)
 
     threads.share(window.split_rows(n_rows), along_x)
@@ -182,17 +184,18 @@ class _Held:
 
     def read(self, window: Window, buffer: Array) -> Array:
         # Memory that is asked for anew for every band costs more than its filtering.
-        block = buffer[:window.n_pixels].reshape(window.shape)
-        block[:] = self.restrict(window)
+        pixels = self.restrict(window)
+        block = buffer[:pixels.size].reshape(pixels.shape)
+        block[:] = pixels
         return block
 
     def buffer(self, rows: int) -> Array:
         return np.empty(min(rows, self.window.height) * self.window.width)
 
 
-def _hold(source: ImageSource, window: Window, degree: int, find_usable: FindUsable | None) -> _Held:
+def _hold(source: ImageSource, window: Window, halo: int, find_usable: FindUsable | None) -> _Held:
     extent = source.extent
-    wide = window.grow(HALO[degree]).intersection(extent)
+    wide = window.grow(halo).intersection(extent)
     usable = None if find_usable is None else find_usable(wide)
     pixels = fill_excluded(source.read(wide), usable)
     return _Held(wide, extent, pixels, usable)
