@@ -109,20 +109,18 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     out. With ``excludes_taps`` all that is interpolated from an excluded pixel is left out, otherwise only what lies
     beside it.
     """
-    pad = PADDING[degree]
-    out = np.empty((window.height + 2 * pad, window.width + 2 * pad), dtype=np.float32)
-    inner = window.grow(pad).intersection(source.extent)
+    whole = window.grow(PADDING[degree])
+    out = np.empty(whole.shape, dtype=np.float32)
+    inner = whole.intersection(source.extent)
     held = _hold(source, inner, HALO[degree], find_usable)
 
     def fill(bands: Iterator[Window]) -> None:
         for band, coefficients in _coefficient_bands(held, bands, degree):
-            y = band.y0 - (window.y0 - pad)
-            x = inner.x0 - (window.x0 - pad)
-            out[y: y + band.height, x: x + inner.width] = coefficients
+            out[whole.locate(band)] = coefficients
 
     # The same bands for any number of threads: the halo's remainder, and with it rounding, depends on them.
     threads.share(inner.split_rows(_BAND_ROWS), fill)
-    _reflect(out, inner, window.grow(pad))
+    _reflect(out, inner, whole)
     reach = degree // 2 if excludes_taps else 0
     usable = None if held.usable is None else without_neighbours(held.usable, reach, reach + 1)
     return SplineImage(window, degree, out, held.restrict_usable(usable, window))
