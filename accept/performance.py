@@ -11,6 +11,7 @@ from accept.table import Scale
 from bench import kernel_rates, peers
 from bench import kernels as pixel_kernels
 from bench import paper as megapixels
+from bench.before import compare_starts
 from bench.paper import find_summary
 from bench.support.paper_case import CASES, MEASURED
 from bench.support.paper_record import pixel_record
@@ -24,6 +25,12 @@ BEFORE = {(0, 0): {3: 0.0022063, 5: 0.0019515}, (0, 64): {3: 0.0011295, 5: 0.000
 LAST_DIGIT = 1e-5
 """Errors are compared as the tables give them, to 1e-5 px: sums in another order change what is behind."""
 
+SMALLER_SINCE = "f43a80d"
+"""Commit since which the source has become smaller."""
+
+MOST_OF_START, STARTS = 0.7, 11
+"""Of the time that commit took up to its first line; runs of each."""
+
 SPEEDUP_CASES = ("beam_16", "full_16")
 """Cases of ``bench.paper`` whose pixel work is measured on one and two ranks."""
 
@@ -36,6 +43,14 @@ def measure_paper(scale: Scale) -> list[Row]:
     if scale.smoke:
         return megapixels.measure_case(SMOKE_CASE, repeats=1, with_kernels=False)[:1]
     return [row for name in MEASURED for row in megapixels.measure_case(name)[:1]]
+
+
+def measure_startup(scale: Scale) -> list[Row]:
+    """Compare what a run takes before it says its first word."""
+    then, now = compare_starts(SMALLER_SINCE, rounds=1 if scale.smoke else STARTS)
+    return [Row(f"`ddic run` of the demo up to its first line of output, one rank, CPU, in turn with {SMALLER_SINCE}",
+                f"at most {MOST_OF_START:g} times", f"{now / then:.2f} times ({now:.2f} beside {then:.2f} s)",
+                now <= MOST_OF_START * then, judged_small=False)]
 
 
 def measure_speedup(scale: Scale) -> list[Row]:

@@ -33,6 +33,7 @@ TABLES: dict[str, dict[str, str]] = {
     "house": {
         "recorded": "recorded.recorded",
         "kernel_rates": "performance.measure_kernel_rates",
+        "startup": "performance.measure_startup",
         "integrated": "kinematics.measure_integrated",
         "fixed_components": "kinematics.measure_fixed_components",
         "frames": "frames.measure_many_frames",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -17,10 +18,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 
+import psutil
+
 from bench.support.before import COMMIT, checkout_before
 from bench.support.paper_case import beam, describe_tension, full, name_images, tiny
 from bench.support.rows import append_result
-from bench.support.runs import DATA, ROOT, images, mpirun, real_data
+from bench.support.runs import DATA, ROOT, environment, images, mpirun, real_data
 
 RANKS = 2
 
@@ -159,6 +162,55 @@ def compare(name: str, rounds: int = ROUNDS, commit: str = COMMIT) -> Comparison
     append_result("before", {"before": commit, "case": name, "n_ranks": RANKS,
                              **{which: [asdict(cost) for cost in costs] for which, costs in runs.items()}})
     return found
+
+
+def compare_starts(commit: str, rounds: int = ROUNDS) -> tuple[float, float]:
+    """Measure ``ddic run`` on the demo, alone, up to its first line of output, with the code before and now in turn.
+
+    Parameters
+    ----------
+    commit : str
+        Of the code before.
+    rounds : int
+        Timed runs of each.
+
+    Returns
+    -------
+    before, now : float
+        Medians of CPU seconds.
+
+    Raises
+    ------
+    NotHereError
+        Where the repository's history does not reach back so far.
+    """
+    sources = {"before": checkout_before(commit), "now": ROOT}
+    folder = DATA / "before" / "demo"
+    folder.mkdir(parents=True, exist_ok=True)
+    runs: dict[str, list[float]] = {which: [] for which in sources}
+    for number in range(rounds + 1):
+        for which, source in sources.items():
+            case = folder / f"started_{which}.toml"
+            case.write_text(f'{_demo()}\n[output]\nfile = "started_{which}.vtkhdf"\n', encoding="utf-8")
+            cpu = _time_first_line(case, source)
+            if number > 0:
+                runs[which].append(cpu)
+    append_result("starts", {"before": commit, **runs})
+    return median(runs["before"]), median(runs["now"])
+
+
+def _time_first_line(case: Path, source: Path) -> float:
+    """CPU seconds that a run has taken when its first line can be read; it is ended there."""
+    with subprocess.Popen([sys.executable, "-m", "ddic", "run", str(case)], stdout=subprocess.PIPE,
+                          stderr=subprocess.DEVNULL, text=True,
+                          env=environment({"PYTHONPATH": str(source / "src"), **AS_INSTALLED})) as run:
+        assert run.stdout is not None
+        line = run.stdout.readline()
+        used = psutil.Process(run.pid).cpu_times()
+        run.kill()
+    if not line:
+        raise RuntimeError(f"ddic run {case} printed nothing")
+    return float(used.user + used.system)
 
 
 def _measure(text: str, folder: Path, which: str, source: Path) -> Cost:
