@@ -30,11 +30,11 @@ from ddic.plots.maps import (
     draw_deformed,
     draw_displacement,
     draw_near_far,
+    draw_residual,
     draw_strain,
     read_preview,
 )
 from ddic.plots.partition import draw_partition
-from ddic.plots.residual import draw_residual
 
 Array = NDArray[np.float64]
 

@@ -31,10 +31,10 @@ from ddic.plots.maps import (
     draw_difference,
     draw_displacement,
     draw_near_far,
+    draw_residual,
     draw_strain,
 )
 from ddic.plots.partition import PALETTE, choose_colours, draw_mesh_preview, draw_partition
-from ddic.plots.residual import draw_residual
 from support.cases import write_case, write_images
 
 Write = Callable[..., Path]

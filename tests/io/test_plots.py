@@ -17,9 +17,15 @@ from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.plots.canvas import make_triangulation
 from ddic.plots.curves import draw_krylov
-from ddic.plots.maps import choose_amplification, draw_deformed, draw_difference, draw_near_far, read_preview
+from ddic.plots.maps import (
+    choose_amplification,
+    draw_deformed,
+    draw_difference,
+    draw_near_far,
+    draw_residual,
+    read_preview,
+)
 from ddic.plots.partition import draw_partition
-from ddic.plots.residual import draw_residual
 
 Write = Callable[..., Path]
 

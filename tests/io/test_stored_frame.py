@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ddic.io import result_schema as schema
-from ddic.io.join_frames import StoredFrame, has_same_geometry, partition_like, read_stored_frame
 from ddic.io.series_reader import read_series
+from ddic.io.series_writer import StoredFrame, has_same_geometry, partition_like, read_stored_frame
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from support.series_files import MESH, FrameFile, write_series_file

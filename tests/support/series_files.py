@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
 from ddic.io.hdf5_stream import ChunkGrid, pack_chunk
-from ddic.io.join_frames import join_frames
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
-from ddic.io.series_folder import SeriesFolder
+from ddic.io.series_writer import SeriesFolder, join_frames
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.results.series import FrameRecord

@@ -6,13 +6,14 @@ its number.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
@@ -65,17 +66,16 @@ class SeriesResult:
         return (self._read(step) for step in range(len(self)))
 
     def _read(self, step: int) -> Result:
+        number = self.numbers[step]
         with opened_result(self.path) as (_, file):
             if schema.STEPS not in file:
                 return read_open_file(self.path, file)
-            with h5py.File("frame", "w", driver="core", backing_store=False) as frame:
-                _extract(file, step, int(self.numbers[step]), frame)
-                floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
-                              if record["number"] == self.numbers[step]), None)
-                if floor is not None:
-                    # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
-                    frame.require_group(schema.CASE).attrs[schema.NOISE_FLOOR] = floor
-                return read_open_file(self.path, frame, with_image=True)
+            # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
+            floor = next((record.get(schema.NOISE_FLOOR) for record in self.records if record["number"] == number),
+                         None)
+            told = {} if floor is None else {schema.NOISE_FLOOR: floor}
+            return read_open_file(self.path, file, rest=file[schema.frame_group(int(number))],
+                                  pick=_find_rows(file, step), told=told, with_image=True)
 
 
 def is_series_file(path: Path) -> bool:
@@ -136,32 +136,24 @@ def _read_contents(path: Path, file: Any) -> SeriesResult:
     return SeriesResult(path, times, numbers, records)
 
 
-def _extract(file: Any, step: int, number: int, frame: Any) -> None:
-    """Write a step as the result file of a pair has it."""
-    schema.copy_attributes(file, frame, schema.OF_FORMAT)
-    rest = file[schema.frame_group(number)]
-    for name in rest:
-        rest.copy(name, frame)
-    schema.copy_attributes(rest, frame, schema.OF_STATUS)
-    grid, steps, target = file[schema.VTKHDF], file[schema.STEPS], frame.create_group(schema.VTKHDF)
+def _find_rows(file: Any, step: int) -> Callable[[Any], NDArray[Any]]:
+    """What reads the rows of a step from datasets of the geometry and of fields."""
+    grid, steps = file[schema.VTKHDF], file[schema.STEPS]
     part, n_parts = int(steps["PartOffsets"][step]), int(steps["NumberOfParts"][step])
     point, cell = int(steps["PointOffsets"][step]), int(steps["CellOffsets"][step, 0])
     connectivity = int(steps["ConnectivityIdOffsets"][step, 0])
-    counts = {}
-    for name in schema.PIECES:
-        target[name] = grid[name][part:part + n_parts]
-        counts[name] = int(target[name][...].sum())
-    n_points, n_cells = counts["NumberOfPoints"], counts["NumberOfCells"]
-    target["Points"] = grid["Points"][point:point + n_points]
-    target["Types"] = grid["Types"][cell:cell + n_cells]
-    target["Offsets"] = grid["Offsets"][cell + part:cell + part + n_cells + n_parts]
-    target["Connectivity"] = grid["Connectivity"][connectivity:connectivity + counts["NumberOfConnectivityIds"]]
-    for kind, n in (("PointData", n_points), ("CellData", n_cells)):
-        fields = target.create_group(kind)
-        for name, values in grid[kind].items():
-            begin = int(steps[f"{kind}Offsets/{name}"][step])
-            fields[name] = values[begin:begin + n]
-            fields[name].attrs.update(dict(values.attrs))
+    n_points, n_cells, n_ids = (int(grid[name][part:part + n_parts].sum()) for name in schema.PIECES)
+    # The first row and the number of rows.
+    rows = {**dict.fromkeys(schema.PIECES, (part, n_parts)), "Points": (point, n_points), "Types": (cell, n_cells),
+            "Offsets": (cell + part, n_cells + n_parts), "Connectivity": (connectivity, n_ids)}
+    n_values = {"PointData": n_points, "CellData": n_cells}
+
+    def read_rows(dataset: Any) -> NDArray[Any]:
+        group, name = dataset.name.split("/")[-2:]
+        begin, n = (int(steps[f"{group}Offsets/{name}"][step]), n_values[group]) if group in n_values else rows[name]
+        return np.asarray(dataset[begin:begin + n])
+
+    return read_rows
 
 
 ROWS = 1 << 18

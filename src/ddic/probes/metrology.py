@@ -22,8 +22,7 @@ from ddic.io.result_reader import Result
 from ddic.mesh.cell_type import T3
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.quality import measure_covered_areas
-from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge
-from ddic.probes.read_probe import list_samples
+from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge, list_samples
 
 ORDERS = {"equilibrium_gap": 4, "tikhonov": 2}
 """Power of wavelength with which a regularization fades: fourth of the equilibrium gap, second of Tikhonov's term."""

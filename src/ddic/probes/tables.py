@@ -20,8 +20,7 @@ from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
 from ddic.io.result_reader import Result
 from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
-from ddic.probes.probes import KINDS, LineProbe, PointProbe, Probe
-from ddic.probes.read_probe import Measure, Reading, measure_probe
+from ddic.probes.probes import KINDS, LineProbe, Measure, PointProbe, Probe, Reading, measure_probe
 
 COLUMNS = (
     ("time", ""), ("result", ""), ("probe", ""), ("kind", ""),
