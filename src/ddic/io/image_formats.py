@@ -295,10 +295,14 @@ def _blocks(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterat
     """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
     if _lies_together(page):
         yield from _bands(tiff, page, layout, window)
-    elif page.planarconfig == 1 or layout.n_channels == 1:
-        yield from _segments(tiff, page, window, range(len(page.dataoffsets)))
-    else:
-        yield from _planes(tiff, page, layout, window)
+        return
+    # Colours may lie in planes apart.
+    n_planes = 1 if page.planarconfig == 1 else layout.n_channels
+    per_plane = len(page.dataoffsets) // n_planes
+    planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))
+              for c in range(min(n_planes, layout.n_colours))]
+    for parts in zip(*planes, strict=True):
+        yield np.concatenate([block for block, _, _ in parts], axis=-1), parts[0][1], parts[0][2]
 
 
 def _bands(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
@@ -326,15 +330,6 @@ def _segments(tiff: Any, page: Any, window: Window, numbers: range) -> Iterator[
         pixels, _, shape = page.decode(data, number)
         block = np.full(shape, page.nodata, page.dtype) if pixels is None else pixels
         yield block[0], x, y
-
-
-def _planes(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
-    """Blocks of colours that the file holds in planes apart."""
-    per_plane = len(page.dataoffsets) // layout.n_channels
-    planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))
-              for c in range(layout.n_colours)]
-    for parts in zip(*planes, strict=True):
-        yield np.concatenate([block for block, _, _ in parts], axis=-1), parts[0][1], parts[0][2]
 
 
 STANDARD_ERROR = 2

@@ -324,7 +324,8 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     """
     rest, flipped = file if rest is None else rest, schema.is_flipped(file)
     grid = {name: pick(file[schema.VTKHDF][name]) for name in schema.TOPOLOGY}
-    points = _unflipped(pick(file[schema.VTKHDF]["Points"]), flipped)
+    points = pick(file[schema.VTKHDF]["Points"])
+    points = schema.flip_components(points) if flipped else points
     point_data, cell_data = (_fields(file[kind], pick, flipped) for kind in (schema.POINT_DATA, schema.CELL_DATA))
     damage.require_sound_pieces(grid, points, point_data, cell_data)
     mesh, point_rows, cell_rows = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID],
@@ -417,13 +418,9 @@ def _fields(group: Any, pick: Callable[[Any], NDArray[Any]], flipped: bool) -> d
     for name, data in group.items():
         # Before schema 1.4 all were written as if they had the image's axes.
         axes = str(data.attrs.get("axes", schema.AXES_OF_IMAGE))
-        fields[name] = _unflipped(pick(data), flipped and axes == schema.AXES_OF_IMAGE)
+        values = pick(data)
+        fields[name] = schema.flip_components(values) if flipped and axes == schema.AXES_OF_IMAGE else values
     return fields
-
-
-def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:
-    """Values with y down; flipped: the file has it up."""
-    return schema.flip_components(values) if flipped else values
 
 
 def _arrays(file: Any, group: str) -> dict[str, NDArray[Any]]:

@@ -1,7 +1,7 @@
 """Names, version and standard fields of the result file (docs/result-file.md)."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -197,12 +197,6 @@ def begin_file(file: Any, *, flipped: bool) -> None:
 def is_flipped(file: Any) -> bool:
     """Tell whether y is up in a file."""
     return str(file.attrs[Y_AXIS]) == "up"
-
-
-def copy_attributes(source: Any, target: Any, names: Iterable[str]) -> None:
-    """Copy some attributes of a group to another one."""
-    for name in names:
-        target.attrs[name] = source.attrs[name]
 
 
 def create_vtk_group(file: Any, kind: str) -> Any:

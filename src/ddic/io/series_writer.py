@@ -11,8 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import h5py
 import numpy as np
@@ -94,8 +93,8 @@ class SeriesFolder:
             finished = self._read_whole(origin) if resume else {}
             if finished:
                 return finished
-            with made_folder(self.path), replaced_on_exit(self.path / ORIGIN) as temporary:
-                temporary.write_text(json.dumps(origin), encoding="utf-8")
+            with made_folder(self.path):
+                _write(self.path / ORIGIN, json.dumps(origin).encode())
             return {}
         remove_abandoned(self.path)
         self._require_same(origin)
@@ -147,27 +146,22 @@ class SeriesFolder:
 
     def write_failure(self, number: int, record: str) -> None:
         """Note that a frame, numbered from 1, could not be measured; ``record`` says why, as JSON."""
-        with replaced_on_exit(self.get_failure_path(number)) as temporary:
-            temporary.write_text(record, encoding="utf-8")
+        _write(self.get_failure_path(number), record.encode())
 
     def remove(self) -> None:
         """Remove the folder with everything in it."""
         shutil.rmtree(self.path)
 
 
-class BackgroundWriter:
+class BackgroundWriter(ThreadPoolExecutor):
     """Writes files in a thread of its own; use it in a ``with`` statement, which waits for the last one."""
 
     def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ddic-writer")
+        super().__init__(max_workers=1, thread_name_prefix="ddic-writer")
         self._pending: Future[None] | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self._thread.shutdown(wait=True)
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        self.shutdown(wait=True)
         if error is None:
             self.wait()
 
@@ -177,7 +171,7 @@ class BackgroundWriter:
         Raises OSError or InputError where the last one could not be written.
         """
         self.wait()
-        self._pending = self._thread.submit(_write, path, content)
+        self._pending = self.submit(_write, path, content)
 
     def wait(self) -> None:
         """Wait for what is being written; raises OSError or InputError where it could not be."""
@@ -195,23 +189,19 @@ CHUNK = 1 << 22
 """Bytes read at a time. Larger ones keep the disk busier, smaller ones stop sooner."""
 
 
-class ReadAhead:
+class ReadAhead(ThreadPoolExecutor):
     """Reads files in a thread of its own and drops what it reads; use it in a ``with`` statement."""
 
     def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ddic-reader")
+        super().__init__(max_workers=1, thread_name_prefix="ddic-reader")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self._thread.shutdown(wait=True, cancel_futures=True)
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        self.shutdown(wait=True, cancel_futures=True)
 
     def begin(self, paths: Iterable[Path]) -> None:
         """Begin to read files; one that cannot be read is told of by whoever needs it."""
         for path in paths:
-            self._thread.submit(_read, path)
+            self.submit(_read, path)
 
 
 def _read(path: Path) -> None:
@@ -312,7 +302,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
     target = folder.result
     with new_hdf5(files.begin(target)) as (file, _):
         with open_hdf5(folder.get_frame_path(numbers[0])) as first:
-            schema.copy_attributes(first, file, schema.OF_FORMAT)
+            file.attrs.update({name: first.attrs[name] for name in schema.OF_FORMAT})
         file.attrs[schema.STATUS], file.attrs[schema.FAILURE] = schema.CONVERGED, ""
         group = schema.create_vtk_group(file, "UnstructuredGrid")
         geometry, times, n_parts = _GrowingRows(group), [], []
@@ -335,7 +325,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
                 rest = file.create_group(schema.frame_group(number))
                 for name in sorted(source.keys() - {schema.VTKHDF, schema.SERIES}):
                     source.copy(name, rest)
-                schema.copy_attributes(source, rest, schema.OF_STATUS)
+                rest.attrs.update({name: source.attrs[name] for name in schema.OF_STATUS})
         steps = group.create_group("Steps")
         steps.attrs["NSteps"] = len(times)
         steps["Values"] = np.array(times)

@@ -331,32 +331,28 @@ def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> floa
 
     Of a wave along the probe, or along x, pixels.
     """
-    def keep(k: float) -> float:
-        waves = k * _find_axis(probe)[None]
-        return float(evaluate_displacement_response(probe, chain, waves)[0]) * _keep_by_chain(chain, k)
-
-    return _find_wavelength(keep, probe, chain)
+    return _find_wavelength(probe, chain, lambda waves, _: evaluate_displacement_response(probe, chain, waves))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_strain_resolution(probe: Probe, chain: DisplacementChain) -> float:
     """Find the wavelength, along the probe or along x, of which 90 % are left in a probe's strain, pixels."""
-    def keep(k: float) -> float:
-        waves = k * _find_axis(probe)[None]
-        return float(evaluate_strain_response(probe, chain, waves)[0]) / k * _keep_by_chain(chain, k)
-
-    return _find_wavelength(keep, probe, chain)
+    return _find_wavelength(probe, chain, lambda waves, k: evaluate_strain_response(probe, chain, waves) / k)
 
 
-def _keep_by_chain(chain: DisplacementChain, k: float) -> float:
-    """What elements and regularization leave of a wave along its direction, of which they leave least."""
-    wave_number = np.array(k)
+def _find_wavelength(probe: Probe, chain: DisplacementChain, respond: Callable[[Array, float], Array]) -> float:
+    """The longest wave along the probe of which no more than KEPT is left, pixels.
+
+    ``respond`` tells what the probe leaves of waves, of their number too. Elements and regularization leave least of a
+    wave along its direction.
+    """
     half = max(chain.longitudinal, chain.shear)
-    return float(chain.keep_by_elements(wave_number) * chain.keep_by_regularization(wave_number, half))
 
+    def keep(k: float) -> float:
+        wave_number = np.array(k)
+        by_chain = float(chain.keep_by_elements(wave_number) * chain.keep_by_regularization(wave_number, half))
+        return float(respond(k * _find_axis(probe)[None], k)[0]) * by_chain
 
-def _find_wavelength(keep: Callable[[float], float], probe: Probe, chain: DisplacementChain) -> float:
-    """The longest wave of which no more than KEPT is left, pixels."""
     lowest = 2.0 * np.pi / (LONGEST_WAVE * max(_find_size(probe), chain.longest))
     # Waves shorter than two elements are not seen at all; 0.49 of those are left.
     tried = np.geomspace(lowest, np.pi / chain.spacing, 400)

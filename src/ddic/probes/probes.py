@@ -224,13 +224,11 @@ def parse_probe(kind: str, name: str, text: str) -> Probe:
         numbers = []
     if not fewest <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
         raise InputError(f"--{kind} {text}: {form} expected, numbers in pixels")
-    first, rest = (numbers[0], numbers[1]), numbers[2:]
-    if kind == "point":
-        return PointProbe(name, first)
     if kind == "gauge":
-        return StrainGauge(name, first, **dict(zip(("length", "angle", "width"), rest, strict=False)))
-    second = (rest[0], rest[1])
-    return Extensometer(name, first, second) if kind == "extensometer" else LineProbe(name, first, second, *rest[2:])
+        extent = dict(zip(("length", "angle", "width"), numbers[2:], strict=False))
+        return StrainGauge(name, (numbers[0], numbers[1]), **extent)
+    given: list[Any] = [*zip(numbers[0:4:2], numbers[1:4:2], strict=True), *numbers[4:]]
+    return CLASSES[kind](name, *given)
 
 
 def _check_kind(kind: str, named: Any) -> Mapping[str, Any]:
@@ -410,20 +408,13 @@ def _read_gauge(result: Result, probe: StrainGauge, measure: Measure) -> Reading
     away = points - np.asarray(probe.centre)
     # The samples lie symmetrically about the centre: the mean and the slopes are found one by one.
     gradient = np.linalg.solve(away.T @ away, away.T @ u).T[None]
-    along = _stretch_fibre(compute_green_lagrange(gradient), probe.direction)
-    strain = _compute_strain(gradient, measure)
+    green_lagrange = compute_green_lagrange(gradient)
+    along = _stretch_fibre(green_lagrange, probe.direction)
+    strain = compute_infinitesimal(gradient) if measure == "infinitesimal" else green_lagrange
+    if measure == "hencky" and np.isfinite(strain).all():
+        strain = compute_hencky(green_lagrange)
     note = _describe_places(result, locate(result.mesh, points).cells, u, _describe_lines(result, probe))
     return Reading(probe, np.array([probe.centre]), np.zeros(1), u.mean(axis=0)[None], strain, along, note)
-
-
-def _compute_strain(gradient: Array, measure: Measure) -> Array:
-    """A strain tensor of displacement gradients, (n, 3); nan where the gradient is."""
-    if np.isnan(gradient).any():
-        return np.full((len(gradient), 3), np.nan)
-    if measure == "infinitesimal":
-        return compute_infinitesimal(gradient)
-    green_lagrange = compute_green_lagrange(gradient)
-    return green_lagrange if measure == "green-lagrange" else compute_hencky(green_lagrange)
 
 
 def _describe_places(result: Result, cells: IntArray, displacement: Array, more: str = "") -> str:
