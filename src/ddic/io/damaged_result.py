@@ -225,7 +225,9 @@ def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> Non
     """
     for group, values in attributes.items():
         if group.startswith(schema.NEAR_PREFIX):
-            _require_motion(group, values)
+            if "alpha_px" in values and np.asarray(values["alpha_px"], np.float64).shape != (2,):
+                raise ValueError(f"{group}.alpha_px: two numbers expected")
+            _require_number(f"{group}.theta_rad", values.get("theta_rad", 0.0), is_length=False)
             continue
         for name, value in values.items():
             if np.ndim(value):
@@ -242,14 +244,6 @@ def _require_number(name: str, value: Any, *, is_length: bool) -> None:
         raise ValueError(f"{name}: a number expected")
     if is_length and not 0.0 <= float(value) <= _LONGEST:
         raise ValueError(f"{name}: {value:g} is no length")
-
-
-def _require_motion(group: str, values: Mapping[str, Any]) -> None:
-    """Refuse a motion of a near set-up that is none."""
-    if "alpha_px" in values and np.asarray(values["alpha_px"], np.float64).shape != (2,):
-        raise ValueError(f"{group}.alpha_px: two numbers expected")
-    if "theta_rad" in values:
-        _require_number(f"{group}.theta_rad", values["theta_rad"], is_length=False)
 
 
 def _require_case(case: Any) -> None:

@@ -314,14 +314,15 @@ def check_schema(path: Path, file: Any) -> None:
 
 
 def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[Any], NDArray[Any]] = read_array,
-                   told: Mapping[str, Any] | None = None, with_image: bool = False) -> Result:
+                   told: Mapping[str, Any] | None = None) -> Result:
     """Join the pieces of an open file to a result.
 
     ``path`` is what it is called, empty for what is only in memory. A frame of a series is read by ``rest``, the group
     of what is neither its geometry nor its fields, ``pick``, which reads its rows of their datasets, and ``told``, what
-    is known of its case beside. ``with_image`` reads the residual image at once, of a file that cannot be opened again
-    for it.
+    is known of its case beside.
     """
+    # Only the file of a pair is opened again for its image.
+    has_image_at_once = rest is not None or path == Path()
     rest, flipped = file if rest is None else rest, schema.is_flipped(file)
     grid = {name: pick(file[schema.VTKHDF][name]) for name in schema.TOPOLOGY}
     points = pick(file[schema.VTKHDF]["Points"])
@@ -358,7 +359,7 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
         failure=str(rest.attrs.get(schema.FAILURE, "")),
         phases=tables[schema.PHASES],
     )
-    if with_image:
+    if has_image_at_once:
         # What is computed at first use may also be put in place, whatever the class is frozen for.
         result.__dict__["residual_image"] = _read_residual_image(rest)
     return result

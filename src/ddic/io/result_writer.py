@@ -93,7 +93,7 @@ class ResultWriter:
         self._flip_y = flip_y
         self._files = files
         # What lies before each of the announced pieces, and at last all of them.
-        self._starts: list[PieceSize] = []
+        self._starts: list[list[int]] = []
         # Datasets of the fields at the points and on the cells, beside what they are.
         self._fields: dict[str, list[tuple[FieldSpec, Any]]] = {}
         self._written: set[int] = set()
@@ -132,7 +132,7 @@ class ResultWriter:
     def read_back(self) -> Result:
         """Read what was written, with the residual image, to memory while the file is open."""
         self._refuse_missing_pieces()
-        return read_open_file(self._path or Path(), self._file, with_image=self._path is None)
+        return read_open_file(Path(), self._file)
 
     def read_image(self) -> bytes:
         """Read the content of a file in memory, as it would be on the disk."""
@@ -144,18 +144,18 @@ class ResultWriter:
                       cell_fields: Sequence[FieldSpec]) -> None:
         """Make room for a mesh in pieces of these sizes, all of them, and for the fields that every piece brings."""
         counts = np.array(sizes, np.int64).reshape(-1, 3)
-        self._starts = [PieceSize(*row) for row in np.cumsum([(0, 0, 0), *counts], axis=0).tolist()]
-        total = self._starts[-1]
+        self._starts = np.cumsum([(0, 0, 0), *counts], axis=0).tolist()
+        n_points, n_cells, n_connectivity = self._starts[-1]
         group = schema.create_vtk_group(self._file, "UnstructuredGrid")
         for name, of_pieces in zip(schema.PIECES, counts.T, strict=True):
             group[name] = of_pieces
-        _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
-        _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
+        _create(group, "Points", n_points, 3, np.float64).attrs["unit"] = "px"
+        _create(group, "Connectivity", n_connectivity, 1, np.int64)
         # Each piece has one offset more than cells.
-        _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
-        _create(group, "Types", total.n_cells, 1, np.uint8)
-        self._create_fields(schema.POINT_DATA, point_fields, total.n_points)
-        self._create_fields(schema.CELL_DATA, cell_fields, total.n_cells)
+        _create(group, "Offsets", n_cells + len(sizes), 1, np.int64)
+        _create(group, "Types", n_cells, 1, np.uint8)
+        self._create_fields(schema.POINT_DATA, point_fields, n_points)
+        self._create_fields(schema.CELL_DATA, cell_fields, n_cells)
 
     def write_pieces(self, indices: range, pieces: Piece) -> None:
         """Write the mesh and fields of some pieces that follow each other.
@@ -169,22 +169,22 @@ class ResultWriter:
         if again:
             raise ValueError(f"pieces {again} were written before")
         start, stop = self._starts[indices.start], self._starts[indices.stop]
-        n_points, n_cells = stop.n_points - start.n_points, stop.n_cells - start.n_cells
-        for what, found, expected in (("points", len(pieces.points), n_points),
-                                      ("types", len(pieces.types), n_cells),
-                                      ("offsets", len(pieces.offsets), n_cells + len(indices)),
-                                      ("connectivity", len(pieces.connectivity),
-                                       stop.n_connectivity - start.n_connectivity)):
-            if found != expected:
-                raise ValueError(f"pieces {indices}: {found} {what}, {expected} announced")
+        point, cell, connectivity = start
+        n_points, n_cells, n_connectivity = (end - begin for begin, end in zip(start, stop, strict=True))
+        sizes = {"points": n_points, "types": n_cells, "offsets": n_cells + len(indices),
+                 "connectivity": n_connectivity}
+        for what, announced in sizes.items():
+            found = len(getattr(pieces, what))
+            if found != announced:
+                raise ValueError(f"pieces {indices}: {found} {what}, {announced} announced")
         group = self._file[schema.VTKHDF]
         points = _three_components(np.asarray(pieces.points, np.float64))
-        _put(group["Points"], start.n_points, self._oriented(points))
-        _put(group["Connectivity"], start.n_connectivity, pieces.connectivity)
-        _put(group["Offsets"], start.n_cells + indices.start, pieces.offsets)
-        _put(group["Types"], start.n_cells, pieces.types)
-        self._write_fields(schema.POINT_DATA, pieces.point_data, start.n_points, n_points)
-        self._write_fields(schema.CELL_DATA, pieces.cell_data, start.n_cells, n_cells)
+        _put(group["Points"], point, self._oriented(points))
+        _put(group["Connectivity"], connectivity, pieces.connectivity)
+        _put(group["Offsets"], cell + indices.start, pieces.offsets)
+        _put(group["Types"], cell, pieces.types)
+        self._write_fields(schema.POINT_DATA, pieces.point_data, point, n_points)
+        self._write_fields(schema.CELL_DATA, pieces.cell_data, cell, n_cells)
         self._require_written()
         self._written.update(indices)
 

@@ -75,7 +75,7 @@ class SeriesResult:
                          None)
             told = {} if floor is None else {schema.NOISE_FLOOR: floor}
             return read_open_file(self.path, file, rest=file[schema.frame_group(int(number))],
-                                  pick=_find_rows(file, step), told=told, with_image=True)
+                                  pick=_find_rows(file, step), told=told)
 
 
 def is_series_file(path: Path) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
@@ -81,13 +82,19 @@ class Preview:
     height: int
 
     def draw(self, axes: Axes, size: float = 1.0, opacity: float = 1.0) -> None:
-        """Draw in grey, pixel centres at integers; ``size`` is a pixel's in the axes' unit.
+        """Draw in grey; below an ``opacity`` of 1 over everything that is there."""
+        self.show(axes, size, cmap="gray", zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity)
 
-        Below an ``opacity`` of 1 it is drawn over everything that is there.
+    def show(self, axes: Axes, size: float, **style: Any) -> AxesImage:
+        """Show the pixels, their centres at integers, in a style as ``imshow`` takes it.
+
+        ``size`` is a pixel's in the axes' unit.
         """
-        axes.imshow(self.pixels, cmap="gray", interpolation="nearest", rasterized=True,
-                    zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity,
-                    extent=find_thinned_extent(self.pixels.shape, self.step, size))
+        n_rows, n_columns = self.pixels.shape
+        left = top = -0.5 * self.step * size
+        right, bottom = (n_columns - 0.5) * self.step * size, (n_rows - 0.5) * self.step * size
+        return axes.imshow(self.pixels, interpolation="nearest", rasterized=True, extent=(left, right, bottom, top),
+                           **style)
 
     def clip(self, bounds: Bounds, size: float = 1.0) -> Bounds:
         """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
@@ -122,12 +129,6 @@ def read_preview(source: ImageSource) -> Preview:
             source.read(Window(0, y, source.width, min(y + 64 * step, source.height)))[::step, ::step]
             for y in bands])
     return Preview(pixels, step, source.width, source.height)
-
-
-def find_thinned_extent(shape: tuple[int, ...], step: int, size: float) -> tuple[float, float, float, float]:
-    """Find left, right, bottom, top of a thinned image, y down, in the axes' unit; ``size`` is a pixel's."""
-    return (size * (-0.5 * step), size * ((shape[1] - 0.5) * step), size * ((shape[0] - 0.5) * step),
-            size * (-0.5 * step))
 
 
 MARGIN = 0.06
@@ -460,16 +461,15 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
         return _by_cell(result, unit, limits)
     bounds = canvas.find_mesh_bounds(unit.size * result.mesh.nodes)
     std = float(np.nanstd(image)) if np.isfinite(image).any() else float("nan")
-    name = "Signed correlation residual" if signed else "Correlation residual"
-    figure, axes = canvas.make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
-    thinned, step = _thin(image)
-    low, high = limits or _span_shown(thinned, signed)
-    palette, symbol = RESIDUAL_PALETTE, "$|f(x) - g(x + u)|$"
+    thinned = _thin(image)
+    low, high = limits or _span_shown(thinned.pixels, signed)
     if signed:
-        palette, symbol = SIGNED_PALETTE, "$f(x) - g(x + u)$"
-    colours = axes.imshow(thinned if signed else np.abs(thinned), cmap=palette, vmin=low, vmax=high,
-                          interpolation="nearest", rasterized=True,
-                          extent=find_thinned_extent(thinned.shape, step, unit.size))
+        name, symbol, palette = "Signed correlation residual", "$f(x) - g(x + u)$", SIGNED_PALETTE
+    else:
+        name, symbol, palette = "Correlation residual", "$|f(x) - g(x + u)|$", RESIDUAL_PALETTE
+        thinned = replace(thinned, pixels=np.abs(thinned.pixels))
+    figure, axes = canvas.make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
+    colours = thinned.show(axes, unit.size, cmap=palette, vmin=low, vmax=high)
     canvas.set_bounds(axes, bounds)
     canvas.add_colour_bar(figure, axes, colours, f"{symbol} [grey levels]")
     return figure
@@ -480,13 +480,14 @@ def find_residual_limits(result: Result, *, signed: bool = False) -> Limits:
     image = result.residual_image
     if image is None:
         return canvas.choose_limits(result.cell_data[schema.RESIDUAL_RMS])
-    return _span_shown(_thin(image)[0], signed)
+    return _span_shown(_thin(image).pixels, signed)
 
 
-def _thin(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
-    """What a figure can show of an image, and the pixels from one that is kept to the next."""
-    step = -(-max(image.shape) // LARGEST_SIDE)
-    return image[::step, ::step], step
+def _thin(image: NDArray[np.float32]) -> Preview:
+    """What a figure can show of an image."""
+    height, width = image.shape
+    step = -(-max(height, width) // LARGEST_SIDE)
+    return Preview(image[::step, ::step], step, width, height)
 
 
 def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:

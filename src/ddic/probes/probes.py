@@ -337,21 +337,17 @@ def list_samples(probe: Probe) -> Array:
     if isinstance(probe, PointProbe):
         return np.array([probe.point])
     if isinstance(probe, StrainGauge):
-        local = _list_local_samples(probe)
+        sides = []
+        for side in (probe.length, probe.across):
+            # The middles of equal parts, from the gauge's centre.
+            n = int(np.clip(math.ceil(side), FEWEST_SAMPLES, MOST_SAMPLES))
+            sides.append(side * ((np.arange(n) + 0.5) / n - 0.5))
+        local = np.column_stack([grid.ravel() for grid in np.meshgrid(*sides, indexing="ij")])
         across = np.array([-probe.direction[1], probe.direction[0]])
         return np.asarray(probe.centre + local[:, :1] * probe.direction + local[:, 1:] * across)
     n_places = 2 if isinstance(probe, Extensometer) else math.ceil(probe.length / probe.spacing - 1e-9) + 1
     share = np.linspace(0.0, 1.0, n_places)[:, None]
     return np.asarray((1.0 - share) * probe.start + share * np.asarray(probe.end))
-
-
-def _list_local_samples(gauge: StrainGauge) -> Array:
-    """Samples from the gauge's centre, along and across, (n, 2): middles of equal parts."""
-    sides = []
-    for side in (gauge.length, gauge.across):
-        n = int(np.clip(math.ceil(side), FEWEST_SAMPLES, MOST_SAMPLES))
-        sides.append(side * ((np.arange(n) + 0.5) / n - 0.5))
-    return np.column_stack([grid.ravel() for grid in np.meshgrid(*sides, indexing="ij")])
 
 
 def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure) -> Reading:
