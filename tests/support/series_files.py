@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import ChunkGrid, pack_chunk
+from ddic.io.hdf5_file import ChunkGrid, pack_chunk
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.io.series_writer import SeriesFolder, join_frames

@@ -15,7 +15,7 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
+from ddic.io.hdf5_file import READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import as_path, require_file
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
@@ -282,7 +282,7 @@ def require_known_displacement(result: Result) -> None:
     """
     if not result.measured_nodes.any():
         raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
-    if schema.parse_case(result.attributes).get("discontinuity"):
+    if schema.get_case(result.attributes).get("discontinuity"):
         # Where a line parts cells, pixels of a node's cells may say nothing of one of its sides.
         return
     n_cells = result.mesh.n_cells
@@ -314,11 +314,11 @@ def check_schema(path: Path, file: Any) -> None:
 
 
 def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[Any], NDArray[Any]] = read_array,
-                   told: Mapping[str, Any] | None = None) -> Result:
+                   known: Mapping[str, Any] | None = None) -> Result:
     """Join the pieces of an open file to a result.
 
     ``path`` is what it is called, empty for what is only in memory. A frame of a series is read by ``rest``, the group
-    of what is neither its geometry nor its fields, ``pick``, which reads its rows of their datasets, and ``told``, what
+    of what is neither its geometry nor its fields, ``pick``, which reads its rows of their datasets, and ``known``, what
     is known of its case beside.
     """
     # Only the file of a pair is opened again for its image.
@@ -337,8 +337,8 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     damage.require_sound_values(mesh, displacement)
     attributes = {name: dict(rest[name].attrs) for name in rest
                   if name in schema.ATTRIBUTE_GROUPS or name.startswith(schema.NEAR_PREFIX)}
-    if told:
-        attributes[schema.CASE] = {**attributes.get(schema.CASE, {}), **told}
+    if known:
+        attributes[schema.CASE] = {**attributes.get(schema.CASE, {}), **known}
     damage.require_sound_attributes(attributes)
     tables = {group: _arrays(rest, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
                                                         schema.PHASES)}

@@ -20,8 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from ddic.arrays import Array, IntArray
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import Arrays, open_hdf5
-from ddic.io.hdf5_stream import ChunkGrid, new_hdf5
+from ddic.io.hdf5_file import Arrays, ChunkGrid, new_hdf5, open_hdf5
 from ddic.io.replace_on_exit import NewFiles, replaced_together
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import READ_ERRORS, open_hdf5, read_array, require_sound_frames
+from ddic.io.damaged_result import require_sound_frames
+from ddic.io.hdf5_file import READ_ERRORS, open_hdf5, read_array
 from ddic.io.input_file import is_readable_file
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 from ddic.mesh.mesh import Mesh
@@ -73,9 +74,9 @@ class SeriesResult:
             # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
             floor = next((record.get(schema.NOISE_FLOOR) for record in self.records if record["number"] == number),
                          None)
-            told = {} if floor is None else {schema.NOISE_FLOOR: floor}
+            known = {} if floor is None else {schema.NOISE_FLOOR: floor}
             return read_open_file(self.path, file, rest=file[schema.frame_group(int(number))],
-                                  pick=_find_rows(file, step), told=told)
+                                  pick=_find_rows(file, step), known=known)
 
 
 def is_series_file(path: Path) -> bool:

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import Arrays, open_hdf5
-from ddic.io.hdf5_stream import new_hdf5
+from ddic.io.hdf5_file import Arrays, new_hdf5, open_hdf5
 from ddic.io.replace_on_exit import NewFiles, made_folder, remove_abandoned, replaced_on_exit
 from ddic.io.result_reader import merge_pieces
 from ddic.io.result_writer import write_physical_sidecar
