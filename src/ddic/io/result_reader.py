@@ -318,8 +318,8 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     """Join the pieces of an open file to a result.
 
     ``path`` is what it is called, empty for what is only in memory. A frame of a series is read by ``rest``, the group
-    of what is neither its geometry nor its fields, ``pick``, which reads its rows of their datasets, and ``known``, what
-    is known of its case beside.
+    of what is neither its geometry nor its fields, ``pick``, which reads its rows of a dataset of these, and ``known``,
+    what is known of its case beside.
     """
     # Only the file of a pair is opened again for its image.
     has_image_at_once = rest is not None or path == Path()

@@ -287,6 +287,42 @@ _STARTS = {"PartOffsets": "NumberOfPoints", "PointOffsets": "Points", "CellOffse
 """Names of the rows at which a step begins, and the dataset that each is of."""
 
 
+class _GrowingRows:
+    """Datasets of all steps one behind the other; what stays from one step to the next is written once.
+
+    ``starts`` are the rows at which the values of each step begin, by the name of the dataset.
+    """
+
+    def __init__(self, group: Any) -> None:
+        self.starts: dict[str, list[int]] = {}
+        self._group = group
+        self._last: dict[str, NDArray[Any]] = {}
+        self._n_steps = 0
+
+    def add(self, name: str, values: NDArray[Any], described: Any, *, stays: bool) -> None:
+        """Add the values of a step; the attributes of the dataset ``described`` say what they are."""
+        starts = self.starts.setdefault(name, [])
+        if stays:
+            starts.append(starts[-1])
+            return
+        starts.append(len(self._group[name]) if name in self._group else 0)
+        _append(self._group, name, values, described)
+        self._last[name] = values
+
+    def add_fields(self, fields: Arrays, described: Any) -> None:
+        """Add the fields of a step; one that another step does not have, since it was not estimated, is unknown."""
+        n_rows = len(next(iter(fields.values())))
+        for name in sorted({*fields, *self.starts}):
+            values = _make_unknown(self._last[name], n_rows) if name not in fields else fields[name]
+            if name not in self.starts and self._n_steps:
+                self.add(name, _make_unknown(values, n_rows), described[name], stays=False)
+                self.starts[name] = [0] * self._n_steps
+            stays = name in self._last and np.array_equal(values, self._last[name],
+                                                          equal_nan=values.dtype.kind == "f")
+            self.add(name, values, described.get(name), stays=stays)
+        self._n_steps += 1
+
+
 def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[str], origin: str,
                 files: NewFiles) -> None:
     """Join result files of frames to one with steps, the result of ``folder``.
@@ -329,14 +365,7 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
         steps.attrs["NSteps"] = len(times)
         steps["Values"] = np.array(times)
         steps["NumberOfParts"] = np.array(n_parts, np.int64)
-        for name, counted in _STARTS.items():
-            rows = np.array(geometry.starts[counted], np.int64)
-            # One column for each kind of cells that VTK keeps apart: one of an unstructured grid.
-            steps[name] = rows[:, None] if name in ("CellOffsets", "ConnectivityIdOffsets") else rows
-        for kind, growing in fields.items():
-            offsets = steps.create_group(f"{kind.rpartition('/')[2]}Offsets")
-            for name, starts in growing.starts.items():
-                offsets[name] = np.array(starts, np.int64)
+        _write_starts(steps, geometry, fields)
         series = file.create_group(schema.SERIES)
         series.attrs["numbers"] = np.array(numbers, np.int64)
         series.attrs["origin"] = origin
@@ -348,40 +377,16 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
             files.remove_old(schema.physical_path(target))
 
 
-class _GrowingRows:
-    """Datasets of all steps one behind the other; what stays from one step to the next is written once.
-
-    ``starts`` are the rows at which the values of each step begin, by the name of the dataset.
-    """
-
-    def __init__(self, group: Any) -> None:
-        self.starts: dict[str, list[int]] = {}
-        self._group = group
-        self._last: dict[str, NDArray[Any]] = {}
-        self._n_steps = 0
-
-    def add(self, name: str, values: NDArray[Any], described: Any, *, stays: bool) -> None:
-        """Add the values of a step; the attributes of the dataset ``described`` say what they are."""
-        starts = self.starts.setdefault(name, [])
-        if stays:
-            starts.append(starts[-1])
-            return
-        starts.append(len(self._group[name]) if name in self._group else 0)
-        _append(self._group, name, values, described)
-        self._last[name] = values
-
-    def add_fields(self, fields: Arrays, described: Any) -> None:
-        """Add the fields of a step; one that another step does not have, since it was not estimated, is unknown."""
-        n_rows = len(next(iter(fields.values())))
-        for name in sorted({*fields, *self.starts}):
-            values = _make_unknown(self._last[name], n_rows) if name not in fields else fields[name]
-            if name not in self.starts and self._n_steps:
-                self.add(name, _make_unknown(values, n_rows), described[name], stays=False)
-                self.starts[name] = [0] * self._n_steps
-            stays = name in self._last and np.array_equal(values, self._last[name],
-                                                          equal_nan=values.dtype.kind == "f")
-            self.add(name, values, described.get(name), stays=stays)
-        self._n_steps += 1
+def _write_starts(steps: Any, geometry: _GrowingRows, fields: Mapping[str, _GrowingRows]) -> None:
+    """Write where the geometry and the fields of each step begin, as VTKHDF wants it."""
+    for name, counted in _STARTS.items():
+        rows = np.array(geometry.starts[counted], np.int64)
+        # One column for each kind of cells that VTK keeps apart: one of an unstructured grid.
+        steps[name] = rows[:, None] if name in ("CellOffsets", "ConnectivityIdOffsets") else rows
+    for kind, growing in fields.items():
+        offsets = steps.create_group(f"{kind.rpartition('/')[2]}Offsets")
+        for name, starts in growing.starts.items():
+            offsets[name] = np.array(starts, np.int64)
 
 
 def _make_unknown(like: NDArray[Any], n_rows: int) -> NDArray[Any]:
