@@ -141,12 +141,10 @@ def _list_arrays(file: h5py.File) -> list[_Extent]:
 def _find_gaps(extents: list[_Extent], size: int) -> Iterator[_Extent]:
     """Find what lies between the arrays of a file."""
     at = 0
-    for start, end in extents:
+    for start, end in (*extents, (size, size)):
         if start > at:
             yield at, min(start, size)
         at = max(at, end)
-    if at < size:
-        yield at, size
 
 
 class _UnfailingFile(io.RawIOBase):

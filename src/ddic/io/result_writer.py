@@ -7,7 +7,7 @@ stands beside it are moved or removed together.
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -97,24 +97,33 @@ class ResultWriter:
         self._fields: dict[str, list[tuple[FieldSpec, Any]]] = {}
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
-        self._stack = ExitStack()
+        # Raises where the disk has refused a part: what is still to come would be kept in memory.
+        self._require_written: Callable[[], None] = lambda: None
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            self._file, self._require_written = self._open(stack)
-            schema.begin_file(self._file, flipped=self._flip_y)
-            self._stack = stack.pop_all()
+        self._opened = self._open()
+        self._opened.__enter__()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        if error is not None:
-            self._stack.__exit__(kind, error, trace)
-            return
-        with self._stack:
+        self._opened.__exit__(kind, error, trace)
+
+    @contextmanager
+    def _open(self) -> Iterator[None]:
+        """Open the file under its temporary name, or in memory, and complete it where the block does not fail."""
+        with ExitStack() as stack:
+            if self._path is None:
+                self._file = stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False))
+            else:
+                files = self._files or stack.enter_context(replaced_together())
+                self._file, self._require_written = stack.enter_context(
+                    new_hdf5(files.begin(self._path), CHUNK_CACHE_BYTES))
+            schema.begin_file(self._file, flipped=self._flip_y)
+            yield
             self._refuse_missing_pieces()
-            if self._path is not None and self._files is not None:
-                self._write_company(self._path, self._files)
+            if self._path is not None:
+                self._write_company(self._path, files)
 
     def _write_company(self, path: Path, files: NewFiles) -> None:
         """Write what shows the residual images and the length unit."""
@@ -255,18 +264,6 @@ class ResultWriter:
         """
         self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
         self._file.attrs[schema.FAILURE] = failure
-
-    def _open(self, stack: ExitStack) -> tuple[h5py.File, Callable[[], None]]:
-        """The file under its temporary name, or in memory.
-
-        Beside it comes what raises OSError where the disk has refused a part: what is still to come would be kept in
-        memory.
-        """
-        if self._path is None:
-            return stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False)), lambda: None
-        if self._files is None:
-            self._files = stack.enter_context(replaced_together())
-        return stack.enter_context(new_hdf5(self._files.begin(self._path), CHUNK_CACHE_BYTES))
 
     def _refuse_missing_pieces(self) -> None:
         """Raise where an announced piece has not been written."""
