@@ -45,7 +45,7 @@ def draw_krylov(curves: Mapping[str, Sequence[Array]]) -> Figure:
     Each label has a line style; its Gauss-Newton iterations run through the colours. The label is empty for one result
     alone.
     """
-    figure, axes = _make_wide_figure()
+    figure, axes = _make_figure(7.0, 4.5)
     for (style, marker), (label, histories) in zip(cycle(STYLES), curves.items(), strict=False):
         shades = colormaps[COLOURS](np.linspace(0.0, LIGHTEST, len(histories)))
         for number, (history, shade) in enumerate(zip(histories, shades, strict=True), start=1):
@@ -71,8 +71,8 @@ def draw_krylov(curves: Mapping[str, Sequence[Array]]) -> Figure:
     return figure
 
 
-def _make_wide_figure() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.0, 4.5), layout="tight")
+def _make_figure(width: float, height: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height), layout="tight")
     return figure, figure.add_subplot()
 
 
@@ -177,7 +177,7 @@ def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthU
 
     ``curves`` hold, by the label of a line, distance along it, tangential and normal opening, (n,) each, in the unit.
     """
-    figure, axes = _make_wide_figure()
+    figure, axes = _make_figure(7.0, 4.5)
     for (style, _), (label, (distance, tangential, normal)) in zip(cycle(STYLES), curves.items(), strict=False):
         prefix = "" if len(curves) == 1 else f"{label}, "
         axes.plot(distance, normal, style, color="tab:blue", linewidth=1.4, label=f"{prefix}normal")
@@ -412,8 +412,7 @@ def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
     # Of a residual of one value, such as 0, the curve is that of any deviation.
     std = std or 1.0
     edge = WIDEST * std
-    figure = Figure(figsize=(5.0, 3.4), layout="tight")
-    axes = figure.subplots()
+    figure, axes = _make_figure(5.0, 3.4)
     counts, edges = np.histogram(values, bins=N_BINS, range=(-edge, edge))
     density = counts / max(values.size, 1) / np.diff(edges)
     axes.stairs(density, edges, fill=True, color="tab:blue", alpha=0.6, label="residual")
@@ -429,8 +428,7 @@ def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
 
 def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:
     """Draw the distribution of the grey levels of images, by their names."""
-    figure = Figure(figsize=(5.0, 3.4), layout="tight")
-    axes = figure.subplots()
+    figure, axes = _make_figure(5.0, 3.4)
     finite = {name: pixels[np.isfinite(pixels)] for name, pixels in images.items()}
     low, high = (float(edge([edge(pixels) for pixels in finite.values()])) for edge in (np.min, np.max))
     # Bins of whole grey levels: others would hold now one level, now two.

@@ -345,22 +345,12 @@ class SharedView:
     bounds: Bounds
 
 
-def choose_amplification(result: Result) -> float:
-    """Choose an amplification, one digit, of the displacement without its rigid motion.
-
-    It makes that 5 % of the mesh, or less where the largest gradient of the displacement would fold cells, and is at
-    least 1. Raises InputError where no cell was measured.
-    """
-    mesh, displacement = _keep_measured(result)
-    return _choose_factor(result, mesh, strain.project_rigid_motion_out(mesh.nodes, displacement))
-
-
 def _choose_factor(result: Result, mesh: Mesh, departure: Array) -> float:
-    """An amplification of the displacement of the measured cells without its rigid motion."""
-    largest = float(np.abs(departure).max())
-    if largest == 0.0:
-        return 1.0
-    wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / largest
+    """An amplification, one digit and at least 1, of the displacement of the measured cells without its rigid motion.
+
+    It makes that, which is not 0, 5 % of the mesh, or less where its largest gradient would fold cells.
+    """
+    wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / float(np.abs(departure).max())
     limit = LARGEST_STRETCH / max(strain.find_largest_gradient(mesh, departure), 1e-300)
     factor = float(f"{wanted:.0e}")
     return max(1.0, factor if factor <= limit else _round_down(limit))
@@ -418,7 +408,7 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
     rest = unit.size * result.mesh.nodes
     if amplification is None:
         departure = strain.project_rigid_motion_out(mesh.nodes, displacement)
-        factor = _choose_factor(result, mesh, departure) if shared is None else shared.factor
+        factor = (shared or find_shared_view([result], None, unit)).factor
         moved = unit.size * (mesh.nodes + factor * departure)
         title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
     else:
