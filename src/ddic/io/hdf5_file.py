@@ -219,10 +219,8 @@ class _UnfailingFile(io.RawIOBase):
 
     def close(self) -> None:
         """Close the file."""
-        if self._descriptor >= 0:
+        if not self.closed:
             os.close(self._descriptor)
-            self._descriptor = -1
-            self._refused = {}
         super().close()
 
 

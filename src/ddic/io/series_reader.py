@@ -220,8 +220,9 @@ def gather_history(series: SeriesResult) -> SeriesHistory:
         sizes[place] = _measure_sizes(result)
 
     def list_numbers(key: str) -> Array:
-        known = [record.get(key) if measured else None for record, measured in zip(records, is_measured, strict=True)]
-        return np.array([np.nan if value is None else value for value in known], float)
+        # None becomes nan.
+        return np.array([record.get(key) if measured else None
+                         for record, measured in zip(records, is_measured, strict=True)], float)
 
     return SeriesHistory(
         times=np.array([record["time"] for record in records], float), is_measured=is_measured, lowest=sizes[:, 0],

@@ -151,7 +151,7 @@ def _find_spacing(result: Result, cells: IntArray) -> float:
 
 def _find_cell(waves: Array) -> float:
     """Area of the plane of wave vectors that each of a regular grid stands for."""
-    step = abs(float(waves[1, 1] - waves[0, 1])) if len(waves) > 1 else 1.0
+    step = float(waves[1, 1] - waves[0, 1])
     return step * step
 
 
