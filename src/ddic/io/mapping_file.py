@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.arrays import Array
 from ddic.errors import InputError
@@ -89,7 +90,7 @@ def read_mapping_file(path: Path) -> MappingFile:
         mapping = CameraMapping(values["homography"], values["distortion.centre"], radius, values["distortion.radial"])
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
-    (far_width, far_height), (near_width, near_height) = (values[f"images.{name}"].astype(int).tolist()
+    (far_width, far_height), (near_width, near_height) = (values[f"images.{name}"].tolist()
                                                           for name in ("far_size", "near_size"))
     return MappingFile(mapping, (far_width, far_height), (near_width, near_height), values["quality.homography_std"],
                        values["quality.radial_std"], position_std, None if math.isnan(coefficient) else coefficient)
@@ -113,7 +114,7 @@ _KEYS: Mapping[str, Mapping[str, tuple[str, float | None]]] = {
 """Keys by section: their kind, and what their numbers are where they are left out; None of those that are needed."""
 
 
-def _read_values(data: Mapping[str, Any], path: Path) -> dict[str, Array]:
+def _read_values(data: Mapping[str, Any], path: Path) -> dict[str, NDArray[Any]]:
     """Numbers of all keys by section.key; raises InputError with all that is wrong."""
     unknown, wrong, values = [], [], {}
     for section, keys in _KEYS.items():
@@ -125,7 +126,8 @@ def _read_values(data: Mapping[str, Any], path: Path) -> dict[str, Array]:
         valid = list(keys) if section else [*keys, *filter(None, _KEYS)]
         unknown += [f"{prefix}{key}: unknown key; valid here: {', '.join(valid)}" for key in inside.keys() - set(valid)]
         for key, (kind, default) in keys.items():
-            name, value, (shape, expected) = f"{prefix}{key}", inside.get(key), _KINDS[kind]
+            name, value = f"{prefix}{key}", inside.get(key)
+            shape, expected = _KINDS[kind]
             if value is None and default is None:
                 wrong.append(f"{name}: this key is missing; it has no default")
             elif value is None:
@@ -133,7 +135,7 @@ def _read_values(data: Mapping[str, Any], path: Path) -> dict[str, Array]:
             elif not _has_shape(value, shape) or (kind == "size" and not all(map(_is_size, value))):
                 wrong.append(f"{name} = {value!r}: expected {expected}")
             else:
-                values[name] = np.array(value, dtype=np.float64)
+                values[name] = np.array(value, dtype=np.int64 if kind == "size" else np.float64)
     if unknown or wrong:
         raise InputError([f"{path}: {problem}" for problem in (*unknown, *wrong)])
     return values

@@ -76,7 +76,7 @@ class SeriesResult:
                          None)
             known = {} if floor is None else {schema.NOISE_FLOOR: floor}
             return read_open_file(self.path, file, rest=file[schema.frame_group(int(number))],
-                                  pick=_find_rows(file, step), known=known)
+                                  pick=_build_row_reader(file, step), known=known)
 
 
 def is_series_file(path: Path) -> bool:
@@ -137,8 +137,8 @@ def _read_contents(path: Path, file: Any) -> SeriesResult:
     return SeriesResult(path, times, numbers, records)
 
 
-def _find_rows(file: Any, step: int) -> Callable[[Any], NDArray[Any]]:
-    """What reads the rows of a step from datasets of the geometry and of fields."""
+def _build_row_reader(file: Any, step: int) -> Callable[[Any], NDArray[Any]]:
+    """A function that reads the rows of a step from a dataset of the geometry or of a field."""
     grid, steps = file[schema.VTKHDF], file[schema.STEPS]
     part, n_parts = int(steps["PartOffsets"][step]), int(steps["NumberOfParts"][step])
     point, cell = int(steps["PointOffsets"][step]), int(steps["CellOffsets"][step, 0])
