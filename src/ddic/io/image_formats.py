@@ -92,10 +92,7 @@ def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
 
 
 def check_decoded_size(path: Path, width: int, height: int) -> None:
-    """Refuse an image that would have to be decoded whole to read any part of it, and is too large for that.
-
-    Raises InputError where it has, as its header says, more than MOST_PIXELS_DECODED.
-    """
+    """Refuse an image that has to be decoded whole and has more than MOST_PIXELS_DECODED; raises InputError."""
     if width * height > MOST_PIXELS_DECODED:
         raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
                          f"{MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of which only "
@@ -103,10 +100,7 @@ def check_decoded_size(path: Path, width: int, height: int) -> None:
 
 
 def check_claimed_size(path: Path, width: int, height: int) -> None:
-    """Refuse an image of a size that no camera gives.
-
-    Raises InputError where a side, as its header says, is longer than MOST_PIXELS_ALONG.
-    """
+    """Refuse an image whose header claims a side longer than MOST_PIXELS_ALONG; raises InputError."""
     if max(width, height) > MOST_PIXELS_ALONG:
         raise InputError(f"{path}: its header claims {width} x {height} px; images have {MOST_PIXELS_ALONG} columns "
                          "and rows at most; copy or save it again, if it is not damaged")

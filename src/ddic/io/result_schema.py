@@ -247,10 +247,7 @@ def frame_group(number: int) -> str:
 
 
 def earlier_path(result: Path) -> Path:
-    """Name the file to which a failed run moves an earlier result of the name that it was to write.
-
-    It stands in the same folder: NAME.earlier.vtkhdf.
-    """
+    """Name the file to which a failed run moves an earlier result, in the same folder: NAME.earlier.vtkhdf."""
     return _insert(result, "earlier")
 
 
@@ -260,10 +257,9 @@ def _insert(path: Path, word: str) -> Path:
 
 
 def sidecar_path(path: Path, camera: int = 0) -> Path:
-    """Name the ImageData file that shows a residual image of a result, beside it.
+    """Name the ImageData file that shows a camera's residual image: NAME.residual.vtkhdf, NAME.near_1.residual.vtkhdf.
 
-    It is NAME.residual.vtkhdf for camera 0, the far one or the only one, and NAME.near_1.residual.vtkhdf for the first
-    near one.
+    ``camera`` is 0 for the far camera, or the only one; then the near ones.
     """
     near = "" if camera == 0 else f".near_{camera}"
     return path.with_name(f"{path.stem}{near}.residual.vtkhdf")

@@ -80,10 +80,7 @@ class SeriesResult:
 
 
 def is_series_file(path: Path) -> bool:
-    """Tell whether a file holds the frames of a series, be it one.
-
-    False for what is no file, no HDF5, damaged or the result of a pair.
-    """
+    """Tell whether a file holds the frames of a series, be it one; what is no file, or damaged, does not."""
     if not is_readable_file(path) or not h5py.is_hdf5(path):
         return False
     try:

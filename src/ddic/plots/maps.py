@@ -270,18 +270,14 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
                 of_panels: Sequence[Limits] | None = None, image: Preview | None = None) -> Figure:
     """Draw strain on the mesh at rest, in one panel or three, over the image where it is given.
 
-    ``of_panels`` are limits of the colours of each panel, in place of ``limits``. Raises InputError where the result
-    has no strain at nodes.
+    ``of_panels`` are limits of the colours of each panel, in place of ``limits``.
     """
     panels = list_strain_panels(result, choice)
     return draw_values(result.mesh, panels, image, unit, of_panels or [limits] * len(panels))
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
-    """List what the panels of a strain map show, one or three.
-
-    Raises InputError where the result has no strain at nodes.
-    """
+    """List what the panels of a strain map show, one or three."""
     tensors = pick_tensors(result, choice)
     numbers = PANELS if choice.number is None else (choice.number,)
     symbol = "E" if choice.measure == "green-lagrange" else r"\varepsilon"
