@@ -21,20 +21,20 @@ from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
 from ddic.kinematics.strain import count_folded_cells
-from ddic.plots.canvas import find_length_unit
+from ddic.plots.canvas import PIXELS, find_length_unit
 from ddic.plots.curves import draw_krylov
 from ddic.plots.maps import (
     Preview,
     StrainChoice,
-    choose_amplification,
     draw_deformed,
     draw_displacement,
     draw_near_far,
+    draw_residual,
     draw_strain,
+    find_shared_view,
     read_preview,
 )
 from ddic.plots.partition import draw_partition
-from ddic.plots.residual import draw_residual
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,8 @@ def measure_pictures(scale: Scale) -> list[Row]:
         n_figures += len(drawn)
         clipped += [f"{name}, {kind}: {text}" for kind, figure in drawn.items() for text in find_clipped_texts(figure)]
         n_folded = count_folded_cells(result.mesh, _find_drawn_nodes(result, drawn["deformed"]))
-        folded += [f"{name}: {n_folded} at {choose_amplification(result):g} times"] if n_folded else []
+        if n_folded:
+            folded.append(f"{name}: {n_folded} at {find_shared_view([result], None, PIXELS).factor:g} times")
     return [Row(f"{n_figures} pictures of {len(cases)} cases ({', '.join(cases)}): texts that the page's edge cuts",
                 "none", "; ".join(clipped) or "none", not clipped),
             Row("cells of the deformed meshes that fold at the amplification that is chosen", "none",

@@ -32,8 +32,15 @@ if TYPE_CHECKING:
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
     from ddic.probes.metrology import Metrology, estimate_metrology
-    from ddic.probes.probes import Extensometer, LineProbe, PointProbe, StrainGauge, load_probes
-    from ddic.probes.read_probe import Reading, measure_probe
+    from ddic.probes.probes import (
+        Extensometer,
+        LineProbe,
+        PointProbe,
+        Reading,
+        StrainGauge,
+        load_probes,
+        measure_probe,
+    )
     from ddic.probes.tables import measure_probes, write_field_tables, write_probe_table
     from ddic.report.page import write_report
     from ddic.results.sweep import Candidate, Sweep, Trial
@@ -57,8 +64,8 @@ _PUBLIC = {
     "mesh.mesh": ("Mesh",),
     "mesh.structured": ("structured_mesh",),
     "probes.metrology": ("Metrology", "estimate_metrology"),
-    "probes.probes": ("Extensometer", "LineProbe", "PointProbe", "StrainGauge", "load_probes"),
-    "probes.read_probe": ("Reading", "measure_probe"),
+    "probes.probes": ("Extensometer", "LineProbe", "PointProbe", "Reading", "StrainGauge", "load_probes",
+                      "measure_probe"),
     "probes.tables": ("measure_probes", "write_field_tables", "write_probe_table"),
     "report.page": ("write_report",),
     "results.sweep": ("Candidate", "Sweep", "Trial"),

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import ChunkGrid, pack_chunk
+from ddic.io.hdf5_file import ChunkGrid, pack_chunk
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import Mesh, build_mesh

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from ddic.errors import InputError
-from ddic.io import series_folder
-from ddic.io.series_folder import BackgroundWriter, ReadAhead
+from ddic.io import series_writer
+from ddic.io.series_writer import BackgroundWriter, ReadAhead
 
 
 def test_files_are_whole_and_none_is_lost(tmp_path: Path) -> None:
@@ -28,7 +28,7 @@ def test_the_program_goes_on_while_a_file_is_written(tmp_path: Path, monkeypatch
         assert may_go_on.wait(timeout=30)
         names.append(path.name)
 
-    monkeypatch.setattr(series_folder, "_write", wait_and_write)
+    monkeypatch.setattr(series_writer, "_write", wait_and_write)
     with BackgroundWriter() as writer:
         writer.write(tmp_path / "one", b"")
         assert names == []

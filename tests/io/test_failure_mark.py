@@ -21,9 +21,16 @@ from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA, FAILURE, STATUS
 from ddic.plots.canvas import WORDS, draw_failures
 from ddic.plots.curves import draw_corrections, draw_krylov, draw_modes, draw_opening
-from ddic.plots.maps import StrainChoice, draw_deformed, draw_difference, draw_displacement, draw_near_far, draw_strain
+from ddic.plots.maps import (
+    StrainChoice,
+    draw_deformed,
+    draw_difference,
+    draw_displacement,
+    draw_near_far,
+    draw_residual,
+    draw_strain,
+)
 from ddic.plots.partition import draw_partition
-from ddic.plots.residual import draw_residual
 from ddic.separated.field import SeparatedField
 from support.separated import lines
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.io.damaged_result import open_hdf5
+from ddic.io.hdf5_file import open_hdf5
 from support.commands import ddic
 
 HEAP = b"GCOL"

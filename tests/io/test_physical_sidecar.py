@@ -13,7 +13,7 @@ import ddic
 from ddic.errors import InputError
 from ddic.io.result_reader import read_result
 from ddic.io.result_schema import physical_path
-from ddic.io.sidecars import move_result, remove_result
+from ddic.io.result_writer import move_result, remove_result
 
 vtk = pytest.importorskip("vtk")
 numpy_support = pytest.importorskip("vtk.util.numpy_support")

@@ -21,20 +21,20 @@ from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import NODAL_INFINITESIMAL
 from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
-from ddic.plots.canvas import LengthUnit, format_title, make_image_figure
+from ddic.plots.canvas import PIXELS, LengthUnit, format_title, make_image_figure
 from ddic.plots.curves import draw_krylov
 from ddic.plots.maps import (
     Preview,
     StrainChoice,
-    choose_amplification,
     draw_deformed,
     draw_difference,
     draw_displacement,
     draw_near_far,
+    draw_residual,
     draw_strain,
+    find_shared_view,
 )
 from ddic.plots.partition import PALETTE, choose_colours, draw_mesh_preview, draw_partition
-from ddic.plots.residual import draw_residual
 from support.cases import write_case, write_images
 
 Write = Callable[..., Path]
@@ -111,7 +111,7 @@ def test_the_deformed_mesh_is_drawn_without_rigid_motion_and_never_folds(result:
     stretched[7] += [1.0, 0.6]
     moved = stretched @ np.array([[c, s], [-s, c]]) + [500.0, 40.0]
     turned = replace(result, displacement=moved - mesh.nodes)
-    factor = choose_amplification(turned)
+    factor = find_shared_view([turned], None, PIXELS).factor
     assert 1.0 <= factor <= 0.5 / 0.1
     axes = draw_deformed(turned).axes[0]
     drawn = np.array([path.vertices[:-1] for path in axes.collections[-1].get_paths()], dtype=object)
@@ -127,7 +127,7 @@ def test_a_factor_that_folds_cells_is_drawn_and_said(result: Result) -> None:
     squeezed = replace(result, displacement=result.mesh.nodes * [-0.1, 0.0])
     assert "15 cells are folded" in draw_deformed(squeezed, "x", 11.0).axes[0].get_title()
     assert "folded" not in draw_deformed(squeezed, "x", 9.0).axes[0].get_title()
-    assert choose_amplification(squeezed) <= 5.0
+    assert find_shared_view([squeezed], None, PIXELS).factor <= 5.0
 
 
 def test_physical_units_scale_axes_and_colours(result: Result) -> None:

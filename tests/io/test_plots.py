@@ -15,11 +15,17 @@ from accept.support.near_far_case import CellPanel, draw_cell_panels
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
-from ddic.plots.canvas import make_triangulation
+from ddic.plots.canvas import PIXELS, make_triangulation
 from ddic.plots.curves import draw_krylov
-from ddic.plots.maps import choose_amplification, draw_deformed, draw_difference, draw_near_far, read_preview
+from ddic.plots.maps import (
+    draw_deformed,
+    draw_difference,
+    draw_near_far,
+    draw_residual,
+    find_shared_view,
+    read_preview,
+)
 from ddic.plots.partition import draw_partition
-from ddic.plots.residual import draw_residual
 
 Write = Callable[..., Path]
 
@@ -57,7 +63,7 @@ def test_deformed_cells_are_drawn_where_amplified_displacement_puts_them(result:
 
 
 def test_chosen_amplification_has_one_digit_and_shows(result: Result) -> None:
-    factor = choose_amplification(result)
+    factor = find_shared_view([result], None, PIXELS).factor
     departure = np.abs(result.displacement - result.displacement.mean(axis=0)).max()
     # One digit is at most a third off the wanted 5 % of the longer side (40 px).
     assert 1.3 < factor * departure < 2.7

@@ -11,7 +11,7 @@ import pytest
 
 from ddic.io.result_reader import read_result
 from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
-from ddic.io.sidecars import move_result, remove_result
+from ddic.io.result_writer import move_result, remove_result
 
 Write = Callable[..., Path]
 

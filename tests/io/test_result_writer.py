@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import IMAGE_CHUNK, ChunkGrid, pack_chunk
+from ddic.io.hdf5_file import IMAGE_CHUNK, ChunkGrid, pack_chunk
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
 from support.cases import contents
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ddic.io import result_schema as schema
-from ddic.io.join_frames import StoredFrame, has_same_geometry, partition_like, read_stored_frame
 from ddic.io.series_reader import read_series
+from ddic.io.series_writer import StoredFrame, has_same_geometry, partition_like, read_stored_frame
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from support.series_files import MESH, FrameFile, write_series_file
@@ -72,3 +72,11 @@ def test_a_series_of_one_mesh_holds_its_geometry_once(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.displacement, other.displacement)
         np.testing.assert_array_equal(frame.cell_data[schema.RESIDUAL_RMS], other.cell_data[schema.RESIDUAL_RMS])
     assert [frame.n_subdomains for frame in read_series(mixed)] == [2, 3, 1]
+
+
+@pytest.mark.parametrize("estimated", [(1, 3), (2,), (3,), (1, 2)])
+def test_a_field_that_a_frame_does_not_have_is_unknown_there(tmp_path: Path, estimated: tuple[int, ...]) -> None:
+    path = write_series_file(tmp_path / "all.vtkhdf", [FrameFile(float(k)) for k in range(3)], estimated=estimated)
+    for number, frame in enumerate(read_series(path), start=1):
+        expected = float(number) if number in estimated else np.nan
+        np.testing.assert_array_equal(frame.point_data["sigma_u"], np.full(frame.mesh.n_nodes, expected))

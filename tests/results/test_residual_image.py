@@ -12,7 +12,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.hdf5_stream import ChunkGrid
+from ddic.io.hdf5_file import ChunkGrid
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
 from ddic.results import residual_image

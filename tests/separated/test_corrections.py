@@ -21,14 +21,13 @@ from ddic.separated.corrections import (
     correct_displacement,
     estimate_noise_gain,
 )
-from ddic.separated.field import build_zero_field
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import build_directions, find_rank_one
 from ddic.separated.separated_regularization import build_plane_waves, measure_wave_gaps, measure_wave_textures
 from ddic.synth.fields import Translation
 from support.cases import WAVES
 from support.pictures import pair_of, source
-from support.separated import frame_of, lines, reference_of, weighted_gap
+from support.separated import build_zero_field, frame_of, lines, reference_of, weighted_gap
 
 REGION = (24.0, 24.0, 168.0, 168.0)
 EXACT = StoppingRules(tolerance=1e-10, rms_tolerance=1e-9, max_corrections=400, stops_at_noise=False)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from ddic.separated import rank_one
-from ddic.separated.field import SeparatedField, build_zero_field, scale_modes
+from ddic.separated.field import SeparatedField, scale_modes
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import build_directions, find_rank_one, renew_functions
 from ddic.separated.separated_regularization import SeparatedOperator
 from ddic.synth.fields import Translation
 from support.cases import WAVES
-from support.separated import frame_of, lines, random_field, weighted_gap
+from support.separated import build_zero_field, frame_of, lines, random_field, weighted_gap
 
 REGION = (20.0, 24.0, 164.0, 152.0)
 SIZE = 16.0

@@ -56,6 +56,12 @@ def random_field(along_x: LineElements, along_y: LineElements, n_modes: int, see
     return scale_modes(along_x, along_y, size * x, y)
 
 
+def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedField:
+    """A field without modes, zero everywhere."""
+    return SeparatedField(along_x, along_y, np.zeros((0, 2)), np.zeros((0, 2, along_x.n_nodes)),
+                          np.zeros((0, 2, along_y.n_nodes)))
+
+
 def weighted_gap(along_x: LineElements, along_y: LineElements, weight: float,
                  edge_weight: float = 0.0) -> SeparatedOperator:
     """The equilibrium gap of the inner nodes, and less of the others, times a weight."""

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import ChunkGrid, pack_chunk
-from ddic.io.join_frames import join_frames
+from ddic.io.hdf5_file import ChunkGrid, pack_chunk
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
-from ddic.io.series_folder import SeriesFolder
+from ddic.io.series_writer import SeriesFolder, join_frames
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.results.series import FrameRecord
@@ -40,8 +40,11 @@ def displace(points: NDArray[np.float64], time: float) -> NDArray[np.float64]:
 
 
 def write_series_file(path: Path, frames: Sequence[FrameFile], *, flip_y: bool = False, length_unit: str | None = None,
-                      residual: bool = False) -> Path:
-    """Write a series by the way a run takes: a file for each frame, then one of all."""
+                      residual: bool = False, estimated: Collection[int] = ()) -> Path:
+    """Write a series by the way a run takes: a file for each frame, then one of all.
+
+    ``estimated`` are the frames, from 1, that have a field of errors, their number at all nodes.
+    """
     folder = SeriesFolder(path, len(frames))
     folder.path.mkdir()
     records = []
@@ -54,6 +57,10 @@ def write_series_file(path: Path, frames: Sequence[FrameFile], *, flip_y: bool =
                                    residual_std_grey=1.0 + 0.1 * number, noise_floor_px=0.004,
                                    started_from="the last frame" if number > 1 else "a search"))
         _write_frame(folder.get_frame_path(number), frame, number, (flip_y, length_unit, residual))
+        if number in estimated:
+            with h5py.File(folder.get_frame_path(number), "r+") as file:
+                of_points = file[schema.POINT_DATA]
+                of_points[schema.SIGMA_DISPLACEMENT[0]] = np.full(len(of_points[schema.DISPLACEMENT]), float(number))
     with replaced_together() as files:
         join_frames(folder, [record.number for record in records if record.converged],
                     [record.as_json() for record in records], "{}", files)

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
+from ddic.io.text_files import write_json
 from ddic.synth.fields import Affine, Bending, Hole, Kirsch, Sinusoidal, Sum, Translation
 from ddic.synth.render import Digitiser, Picture, Scene
 from ddic.synth.speckle import SpeckleTexture
-from ddic.synth.truth import load_truth, save_truth
+from ddic.synth.truth import describe_pair, load_truth
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Unnamed:
 
 def save(path, field):
     scene = Scene(SpeckleTexture(7, 1.5), field, Hole((10.0, 20.0), 5.0))
-    save_truth(path, scene, Picture(640, 480, Digitiser(16, 2.0, 7)))
+    write_json(path, describe_pair(scene, Picture(640, 480, Digitiser(16, 2.0, 7))))
 
 
 @pytest.mark.parametrize("field", [

@@ -36,12 +36,13 @@ from ddic.plots.maps import (
     draw_difference,
     draw_displacement,
     draw_near_far,
+    draw_residual,
     draw_strain,
+    find_residual_limits,
     find_shared_view,
     list_strain_panels,
 )
 from ddic.plots.partition import draw_partition
-from ddic.plots.residual import draw_residual, find_residual_limits
 from ddic.plots.series import draw_time_curves, write_animation
 
 OF_BOTH = ("difference", "krylov")

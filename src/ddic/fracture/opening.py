@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
-from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, parse_case
+from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, get_case
 from ddic.mesh.interpolation import locate
+from ddic.mesh.mesh import Mesh
 
 
 def get_lines(result: Result) -> list[Array]:
@@ -21,7 +22,7 @@ def get_lines(result: Result) -> list[Array]:
 
     Lines that were found are given as they were found.
     """
-    return [np.array(section["vertices"]) for section in parse_case(result.attributes).get("discontinuity", ())]
+    return [np.array(section["vertices"]) for section in get_case(result.attributes).get("discontinuity", ())]
 
 
 def get_line(result: Result, number: int) -> Array:
@@ -100,26 +101,23 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
         Where there is no such line.
     """
     vertices = get_line(result, line)
-    distances, points, tangents = [], [], []
-    begin = 0.0
+    parts, begin = [], 0.0
     for start, end in pairwise(vertices):
         length = float(np.linalg.norm(end - start))
         along = np.arange(STEP / 2, length, STEP)
         tangent = (end - start) / length
-        distances.append(begin + along)
-        points.append(start + along[:, None] * tangent)
-        tangents.append(np.broadcast_to(tangent, (len(along), 2)))
+        parts.append((begin + along, start + along[:, None] * tangent, np.broadcast_to(tangent, (len(along), 2))))
         begin += length
-    at, tangent = np.concatenate(points), np.concatenate(tangents)
+    distance, at, tangent = (np.concatenate(part) for part in zip(*parts, strict=True))
     to_left = np.column_stack([tangent[:, 1], -tangent[:, 0]])
     sides = at + BESIDE * to_left, at - BESIDE * to_left
     cells = np.stack([locate(result.mesh, side).cells for side in sides])
     apart = result.at(sides[0]) - result.at(sides[1])
-    inside = (cells >= 0).all(axis=0) & ~_find_uncut_bends(result, vertices, at, to_left)
+    inside = (cells >= 0).all(axis=0) & ~_find_uncut_bends(result.mesh, vertices, at, cells)
     cells, apart, tangent, to_left = cells[:, inside], apart[inside], tangent[inside], to_left[inside]
     excluded = _look_up(result, EXCLUDED, cells)
     apart[np.isin(excluded, EXCLUDED_STATES)] = np.nan
-    return Opening(np.concatenate(distances)[inside], at[inside], (apart * tangent).sum(axis=1),
+    return Opening(distance[inside], at[inside], (apart * tangent).sum(axis=1),
                    (apart * to_left).sum(axis=1), excluded, _look_up(result, DOUBTFUL, cells) > 0)
 
 
@@ -138,14 +136,13 @@ def _look_up(result: Result, name: str, cells: IntArray) -> NDArray[np.uint8]:
     return np.where((left == 0) | ((right > 0) & (right < left)), right, left)
 
 
-def _find_uncut_bends(result: Result, vertices: Array, at: Array, to_left: Array) -> BoolArray:
-    """Whether a place near a bend of the line has both its sides in parts of cells that hang together."""
+def _find_uncut_bends(mesh: Mesh, vertices: Array, at: Array, cells: IntArray) -> BoolArray:
+    """Whether a place near a bend of the line has both its sides, in cells (2, n), in parts that hang together."""
     bends = vertices[1:-1]
     if not len(bends):
         return np.zeros(len(at), dtype=bool)
-    mesh = result.mesh
     largest = float(np.ptp(mesh.nodes[mesh.cells[:, :3]], axis=1).max())
     near = np.linalg.norm(at[:, None] - bends, axis=2).min(axis=1) <= 2 * largest
-    left, right = (mesh.cells[locate(mesh, at + side * BESIDE * to_left).cells] for side in (1, -1))
+    left, right = mesh.cells[cells]
     shared = (left[:, :, None] == right[:, None, :]) & (left >= 0)[:, :, None]
     return np.asarray(near & shared.any(axis=(1, 2)))

@@ -297,17 +297,6 @@ class Correlation:
             return int(self.raster.pixel_counts.sum())
         return self._count_pixels(self.reference.usable)
 
-    def count_visible_pixels(self, deformed: DeformedSubImage, q: Array) -> int:
-        """Count the pixels that a displacement shows in both images.
-
-        Of ``n_usable_pixels``, they are those not mapped outside the deformed image or onto excluded pixels of it.
-        Costs one pass over the pixels where some may be hidden; where there is a residual, ``Residual.n_pixels`` says
-        the same for nothing.
-        """
-        if self._shows_all(deformed, q):
-            return self.n_usable_pixels
-        return self.compute_residual(deformed, q).n_pixels
-
     def without_hidden(self, deformed: DeformedSubImage, q: Array) -> Correlation:
         """Leave out the pixels that a displacement maps outside the deformed image or onto excluded pixels of it.
 

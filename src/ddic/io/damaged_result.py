@@ -1,32 +1,20 @@
-"""What tells that a result file is damaged: it cannot be read, or what it holds is not of one piece.
+"""What tells that a result file that can be read is damaged: what it holds is not of one piece.
 
-Tables, products and attributes are damaged where they are not what they are read as. HDF5 files are opened for reading
-here, where the library does not turn in a loop over a damaged one.
+Tables, products and attributes are damaged where they are not what they are read as.
 """
 
-import mmap
-import struct
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array
-from ddic.errors import InputError
 from ddic.io import result_schema as schema
+from ddic.io.hdf5_file import Arrays
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_shape_quality
-
-Arrays = Mapping[str, NDArray[Any]]
-
-READ_ERRORS = (OSError, RuntimeError, KeyError, ValueError, IndexError, TypeError, AttributeError, ArithmeticError,
-               MemoryError)
-"""What HDF5, h5py and numpy raise on damaged files; h5py passes on most of HDF5's own as RuntimeError."""
 
 LARGEST_PX = 1e7
 """Coordinate or displacement beyond which a number is damage: no image is as large."""
@@ -34,31 +22,6 @@ LARGEST_PX = 1e7
 _ANY_COMPONENTS = (1, schema.VECTOR, schema.SYMMETRIC_TENSOR)
 _COMPONENTS = {field.name: (field.n_components,) for field in schema.list_all_fields()} | {"Points": (schema.VECTOR,)}
 """Numbers that a row of a field may have, by name; of other fields any."""
-
-MOST_DEFLATED = 1100
-"""Bytes that a byte of a compressed dataset can stand for: deflate's limit is 1032."""
-
-
-def describe_damage(error: BaseException) -> str:
-    """Say in a line what could not be read: the first line of an error's message, or its kind where it has none.
-
-    ``error`` is one of READ_ERRORS.
-    """
-    message = str(error.args[0] if isinstance(error, KeyError) and error.args else error).strip()
-    return message.splitlines()[0] if message else type(error).__name__
-
-
-def read_array(dataset: Any) -> NDArray[Any]:
-    """Read a dataset whole, unless it claims to hold more than its file can.
-
-    The file may be damaged. Raises ValueError, with both sizes, where memory would be filled with what is not there.
-    """
-    # A file in memory was written by this program from what was read before.
-    if dataset.file.driver != "core":
-        stored = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
-        if dataset.nbytes > stored * (MOST_DEFLATED if dataset.compression else 1):
-            raise ValueError(f"{dataset.name} claims {dataset.nbytes} bytes, of which {stored} are there")
-    return np.asarray(dataset[...])
 
 
 def require_sound_pieces(grid: Arrays, points: NDArray[Any], point_data: Arrays, cell_data: Arrays) -> None:
@@ -225,7 +188,9 @@ def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> Non
     """
     for group, values in attributes.items():
         if group.startswith(schema.NEAR_PREFIX):
-            _require_motion(group, values)
+            if "alpha_px" in values and np.asarray(values["alpha_px"], np.float64).shape != (2,):
+                raise ValueError(f"{group}.alpha_px: two numbers expected")
+            _require_number(f"{group}.theta_rad", values.get("theta_rad", 0.0), is_length=False)
             continue
         for name, value in values.items():
             if np.ndim(value):
@@ -234,7 +199,7 @@ def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> Non
         for name in names:
             if name in attributes.get(group, {}):
                 _require_number(f"{group}.{name}", attributes[group][name], is_length=name in _LENGTHS)
-    _require_case(schema.parse_case(attributes))
+    _require_case(schema.get_case(attributes))
 
 
 def _require_number(name: str, value: Any, *, is_length: bool) -> None:
@@ -242,14 +207,6 @@ def _require_number(name: str, value: Any, *, is_length: bool) -> None:
         raise ValueError(f"{name}: a number expected")
     if is_length and not 0.0 <= float(value) <= _LONGEST:
         raise ValueError(f"{name}: {value:g} is no length")
-
-
-def _require_motion(group: str, values: Mapping[str, Any]) -> None:
-    """Refuse a motion of a near set-up that is none."""
-    if "alpha_px" in values and np.asarray(values["alpha_px"], np.float64).shape != (2,):
-        raise ValueError(f"{group}.alpha_px: two numbers expected")
-    if "theta_rad" in values:
-        _require_number(f"{group}.theta_rad", values["theta_rad"], is_length=False)
 
 
 def _require_case(case: Any) -> None:
@@ -264,98 +221,3 @@ def _require_case(case: Any) -> None:
         vertices = np.array(section["vertices"], dtype=float)
         if vertices.ndim != 2 or vertices.shape[1] != 2 or len(vertices) < 2 or not np.isfinite(vertices).all():
             raise ValueError("case.json: a discontinuity has no vertices")
-
-
-_Extent = tuple[int, int]
-"""First byte and the one behind the last."""
-
-_SIGNATURE = b"GCOL\x01\x00\x00\x00"
-"""Of a global heap collection, which holds texts of variable length: HDF5 File Format Specification, section III.E."""
-
-_HEADER, _OBJECT = struct.Struct("<8sQ"), struct.Struct("<HHIQ")
-"""Signature and size of a collection; number, references, nothing and size of an object in it."""
-
-
-def open_hdf5(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading; the caller closes it.
-
-    The library reads a collection of texts object by object, and stays for ever at one of no size: where a disk has
-    left zeros, no time limit in this process ends it. All else that is damaged the library finds by itself. Hence
-    collections are looked through here, in what of the file is no array: a few hundred kilobytes of any result.
-
-    Raises InputError where a collection would hold the library for ever, or the objects of the file cannot be listed;
-    OSError where it cannot be opened, or is no HDF5 file.
-    """
-    with ExitStack() as stack:
-        file = stack.enter_context(h5py.File(path, "r"))
-        _require_finite(path, file)
-        stack.pop_all()
-    return file
-
-
-def _require_finite(path: Path, file: h5py.File) -> None:
-    """Raise InputError for a file that cannot be read to its end."""
-    try:
-        is_endless = _is_endless(path, file)
-    except (RuntimeError, KeyError, ValueError) as error:
-        # What h5py makes of objects that cannot be visited.
-        raise InputError(f"{path}: damaged ({error}); write it anew, or take a copy") from error
-    if is_endless:
-        raise InputError(f"{path}: damaged: a part of it was overwritten (an HDF5 heap with an object of no size); "
-                         "write it anew, or take a copy")
-
-
-def _is_endless(path: Path, file: h5py.File) -> bool:
-    """Whether one of the collections of a file has an object of no size."""
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        for begin, end in _find_gaps(_list_arrays(file), len(content)):
-            place = content.find(_SIGNATURE, begin, end)
-            while place >= 0:
-                if _has_object_of_no_size(content, place):
-                    return True
-                place = content.find(_SIGNATURE, place + 1, end)
-    return False
-
-
-def _has_object_of_no_size(content: mmap.mmap, place: int) -> bool:
-    """Whether a collection has one; what else is wrong with it the library finds."""
-    if place + _HEADER.size > len(content):
-        return False
-    _, size = _HEADER.unpack_from(content, place)
-    at, end = place + _HEADER.size, min(place + size, len(content))
-    while at + _OBJECT.size <= end:
-        number, _, _, size = _OBJECT.unpack_from(content, at)
-        # The size of number 0, which is free space, includes its header.
-        step = size if number == 0 else _OBJECT.size + -(-size // 8) * 8
-        if step == 0:
-            return True
-        at += step
-    return False
-
-
-def _list_arrays(file: h5py.File) -> list[_Extent]:
-    """Where the arrays of a file are."""
-    extents: list[_Extent] = []
-
-    def add(name: str, item: object) -> None:
-        if not isinstance(item, h5py.Dataset):
-            return
-        start = item.id.get_offset()
-        if start is not None:
-            extents.append((start, start + item.id.get_storage_size()))
-        elif item.chunks is not None:
-            item.id.chunk_iter(lambda chunk: extents.append((chunk.byte_offset, chunk.byte_offset + chunk.size)))
-
-    file.visititems(add)
-    return sorted(extents)
-
-
-def _find_gaps(extents: list[_Extent], size: int) -> Iterator[_Extent]:
-    """Find what lies between the arrays of a file."""
-    at = 0
-    for start, end in extents:
-        if start > at:
-            yield at, min(start, size)
-        at = max(at, end)
-    if at < size:
-        yield at, size

@@ -4,14 +4,13 @@ PNG, BMP, JPEG and rarely compressed TIFF files are decoded whole by OpenCV, the
 are not zero are used.
 """
 
-from __future__ import annotations
-
 import hashlib
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,9 +24,6 @@ from ddic.images.window import Window
 from ddic.io import image_formats as formats
 from ddic.io.image_formats import PixelFormat
 from ddic.io.input_file import require_file
-
-if TYPE_CHECKING:
-    from PIL.ImageFile import ImageFile as HeaderReader
 
 PNG, JPEG, BMP = b"\x89PNG", b"\xff\xd8\xff", b"BM"
 """First bytes of the files."""
@@ -134,14 +130,14 @@ def _find_magic(path: Path) -> bytes | None:
     return next((known for known in MOST_PIXELS_OF_A_BYTE if first.startswith(known)), None)
 
 
-def _find_reader(magic: bytes) -> type[HeaderReader]:
+def _find_reader(magic: bytes) -> Callable[[str], Any]:
     """Reader of a format's header."""
     # Here, for TIFF files, the usual ones, do without Pillow.
     from PIL.BmpImagePlugin import BmpImageFile
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
-    readers: dict[bytes, type[HeaderReader]] = {PNG: PngImageFile, JPEG: JpegImageFile, BMP: BmpImageFile}
+    readers: dict[bytes, Callable[[str], Any]] = {PNG: PngImageFile, JPEG: JpegImageFile, BMP: BmpImageFile}
     return readers[magic]
 
 

@@ -92,10 +92,7 @@ def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
 
 
 def check_decoded_size(path: Path, width: int, height: int) -> None:
-    """Refuse an image that would have to be decoded whole to read any part of it, and is too large for that.
-
-    Raises InputError where it has, as its header says, more than MOST_PIXELS_DECODED.
-    """
+    """Refuse an image that has to be decoded whole and has more than MOST_PIXELS_DECODED; raises InputError."""
     if width * height > MOST_PIXELS_DECODED:
         raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
                          f"{MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of which only "
@@ -103,10 +100,7 @@ def check_decoded_size(path: Path, width: int, height: int) -> None:
 
 
 def check_claimed_size(path: Path, width: int, height: int) -> None:
-    """Refuse an image of a size that no camera gives.
-
-    Raises InputError where a side, as its header says, is longer than MOST_PIXELS_ALONG.
-    """
+    """Refuse an image whose header claims a side longer than MOST_PIXELS_ALONG; raises InputError."""
     if max(width, height) > MOST_PIXELS_ALONG:
         raise InputError(f"{path}: its header claims {width} x {height} px; images have {MOST_PIXELS_ALONG} columns "
                          "and rows at most; copy or save it again, if it is not damaged")
@@ -295,10 +289,14 @@ def _blocks(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterat
     """Blocks of pixels (rows, columns, channels) over the window, each with its first column and row."""
     if _lies_together(page):
         yield from _bands(tiff, page, layout, window)
-    elif page.planarconfig == 1 or layout.n_channels == 1:
-        yield from _segments(tiff, page, window, range(len(page.dataoffsets)))
-    else:
-        yield from _planes(tiff, page, layout, window)
+        return
+    # Colours may lie in planes apart.
+    n_planes = 1 if page.planarconfig == 1 else layout.n_channels
+    per_plane = len(page.dataoffsets) // n_planes
+    planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))
+              for c in range(min(n_planes, layout.n_colours))]
+    for parts in zip(*planes, strict=True):
+        yield np.concatenate([block for block, _, _ in parts], axis=-1), parts[0][1], parts[0][2]
 
 
 def _bands(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
@@ -326,15 +324,6 @@ def _segments(tiff: Any, page: Any, window: Window, numbers: range) -> Iterator[
         pixels, _, shape = page.decode(data, number)
         block = np.full(shape, page.nodata, page.dtype) if pixels is None else pixels
         yield block[0], x, y
-
-
-def _planes(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterator[tuple[NDArray[Any], int, int]]:
-    """Blocks of colours that the file holds in planes apart."""
-    per_plane = len(page.dataoffsets) // layout.n_channels
-    planes = [_segments(tiff, page, window, range(c * per_plane, (c + 1) * per_plane))
-              for c in range(layout.n_colours)]
-    for parts in zip(*planes, strict=True):
-        yield np.concatenate([block for block, _, _ in parts], axis=-1), parts[0][1], parts[0][2]
 
 
 STANDARD_ERROR = 2

@@ -56,8 +56,7 @@ def is_endless_file(path: Path) -> bool:
 
     False too where nothing is there.
     """
-    mode = _find_mode(path)
-    return mode is not None and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+    return os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path))
 
 
 def is_readable_file(path: Path) -> bool:
@@ -65,16 +64,7 @@ def is_readable_file(path: Path) -> bool:
 
     False too where the way there is closed, goes round in circles, or is too long for the file system.
     """
-    mode = _find_mode(path)
-    return mode is not None and stat.S_ISREG(mode)
-
-
-def _find_mode(path: Path) -> int | None:
-    """What a path leads to; None where nothing is there, or where it cannot be told."""
-    try:
-        return path.stat().st_mode
-    except (OSError, ValueError):
-        return None
+    return os.path.isfile(path)
 
 
 Stamp = tuple[int, int, int]

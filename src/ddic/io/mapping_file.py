@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.arrays import Array
 from ddic.errors import InputError
@@ -82,86 +83,66 @@ def read_mapping_file(path: Path) -> MappingFile:
     data = parse_toml(read_text(path, "mapping file", "check the path, or make it with ddic calibrate"), path)
     if not get_close_matches("homography", data):
         raise InputError(f"{path}: this is no mapping file, for it holds no homography; make one with ddic calibrate")
-    reader = _Reader(data, path)
-    reader.refuse_others()
-    homography = reader.numbers("homography", (3, 3), None)
-    centre = reader.numbers("distortion.centre", (2,), np.zeros(2))
-    radius = reader.numbers("distortion.radius", (), np.ones(()))
-    radial = reader.numbers("distortion.radial", (2,), np.zeros(2))
-    far_size, near_size = (reader.size(f"images.{name}") for name in ("far_size", "near_size"))
-    homography_std = reader.numbers("quality.homography_std", (3, 3), np.zeros((3, 3)))
-    radial_std = reader.numbers("quality.radial_std", (2,), np.zeros(2))
-    position_std = reader.numbers("quality.position_std", (), np.zeros(()))
-    coefficient = reader.numbers("quality.correlation_coefficient", (), np.full((), np.nan))
-    if reader.problems:
-        raise InputError(reader.problems)
+    values = _read_values(data, path)
+    radius, position_std, coefficient = (float(values[key]) for key in ("distortion.radius", "quality.position_std",
+                                                                        "quality.correlation_coefficient"))
     try:
-        mapping = CameraMapping(homography, centre, float(radius), radial)
+        mapping = CameraMapping(values["homography"], values["distortion.centre"], radius, values["distortion.radial"])
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
-    return MappingFile(mapping, far_size, near_size, homography_std, radial_std, float(position_std),
-                       None if math.isnan(float(coefficient)) else float(coefficient))
+    (far_width, far_height), (near_width, near_height) = (values[f"images.{name}"].tolist()
+                                                          for name in ("far_size", "near_size"))
+    return MappingFile(mapping, (far_width, far_height), (near_width, near_height), values["quality.homography_std"],
+                       values["quality.radial_std"], position_std, None if math.isnan(coefficient) else coefficient)
 
 
-_KEYS = {
-    "": ("homography", "images", "distortion", "quality"),
-    "images": ("far_size", "near_size"),
-    "distortion": ("centre", "radius", "radial"),
-    "quality": ("homography_std", "radial_std", "position_std", "correlation_coefficient"),
+_KINDS = {
+    "number": ((), "a finite number"),
+    "pair": ((2,), "two finite numbers, [a, b]"),
+    "matrix": ((3, 3), "three rows of three finite numbers, [[a, b, c], [d, e, f], [g, h, 1.0]]"),
+    "size": ((2,), "width and height in whole px, for instance [1392, 1040]"),
 }
+"""Shape of numbers, and how it is said."""
+
+_KEYS: Mapping[str, Mapping[str, tuple[str, float | None]]] = {
+    "": {"homography": ("matrix", None)},
+    "images": {"far_size": ("size", None), "near_size": ("size", None)},
+    "distortion": {"centre": ("pair", 0.0), "radius": ("number", 1.0), "radial": ("pair", 0.0)},
+    "quality": {"homography_std": ("matrix", 0.0), "radial_std": ("pair", 0.0), "position_std": ("number", 0.0),
+                "correlation_coefficient": ("number", math.nan)},
+}
+"""Keys by section: their kind, and what their numbers are where they are left out; None of those that are needed."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Reader:
-    """The parsed file; what is wrong with it is gathered."""
+def _read_values(data: Mapping[str, Any], path: Path) -> dict[str, NDArray[Any]]:
+    """Numbers of all keys by section.key; raises InputError with all that is wrong."""
+    unknown, wrong, values = [], [], {}
+    for section, keys in _KEYS.items():
+        inside = data.get(section, {}) if section else data
+        if not isinstance(inside, Mapping):
+            unknown.append(f"{section} = {inside!r}: expected a section, [{section}] with keys below it")
+            inside = {}
+        prefix = f"{section}." if section else ""
+        valid = list(keys) if section else [*keys, *filter(None, _KEYS)]
+        unknown += [f"{prefix}{key}: unknown key; valid here: {', '.join(valid)}" for key in inside.keys() - set(valid)]
+        for key, (kind, default) in keys.items():
+            name, value = f"{prefix}{key}", inside.get(key)
+            shape, expected = _KINDS[kind]
+            if value is None and default is None:
+                wrong.append(f"{name}: this key is missing; it has no default")
+            elif value is None:
+                values[name] = np.full(shape, default)
+            elif not _has_shape(value, shape) or (kind == "size" and not all(map(_is_size, value))):
+                wrong.append(f"{name} = {value!r}: expected {expected}")
+            else:
+                values[name] = np.array(value, dtype=np.int64 if kind == "size" else np.float64)
+    if unknown or wrong:
+        raise InputError([f"{path}: {problem}" for problem in (*unknown, *wrong)])
+    return values
 
-    data: Mapping[str, Any]
-    path: Path
-    problems: list[str] = field(default_factory=list)
 
-    def refuse_others(self) -> None:
-        """Note keys that mean nothing, and sections that are none."""
-        for section, keys in _KEYS.items():
-            inside = self.data.get(section, {}) if section else self.data
-            if not isinstance(inside, Mapping):
-                self._note(section, f"{inside!r}: expected a section, [{section}] with keys below it")
-                continue
-            for key in inside.keys() - set(keys):
-                self.problems.append(f"{self.path}: {f'{section}.{key}' if section else key}: unknown key; "
-                                     f"valid here: {', '.join(keys)}")
-
-    def numbers(self, key: str, shape: tuple[int, ...], default: Array | None) -> Array:
-        """Finite numbers of a shape."""
-        value = self._value(key)
-        if value is None:
-            if default is None:
-                self.problems.append(f"{self.path}: {key}: this key is missing; it has no default")
-            return np.zeros(shape) if default is None else default
-        wanted = {(): "a finite number", (2,): "two finite numbers, [a, b]",
-                  (3, 3): "three rows of three finite numbers, [[a, b, c], [d, e, f], [g, h, 1.0]]"}[shape]
-        if not _has_shape(value, shape):
-            self._note(key, f"{value!r}: expected {wanted}")
-            return np.zeros(shape)
-        return np.array(value, dtype=np.float64)
-
-    def size(self, key: str) -> tuple[int, int]:
-        """Width and height of an image."""
-        value = self._value(key)
-        if value is None:
-            self.problems.append(f"{self.path}: {key}: this key is missing; it has no default")
-            return 1, 1
-        if not _has_shape(value, (2,)) or not all(isinstance(n, int) and n > 0 for n in value):
-            self._note(key, f"{value!r}: expected width and height in whole px, for instance [1392, 1040]")
-            return 1, 1
-        return int(value[0]), int(value[1])
-
-    def _value(self, key: str) -> Any:
-        *section, name = key.split(".")
-        inside: Any = self.data.get(section[0], {}) if section else self.data
-        return inside.get(name) if isinstance(inside, Mapping) else None
-
-    def _note(self, key: str, problem: str) -> None:
-        self.problems.append(f"{self.path}: {key} = {problem}")
+def _is_size(value: Any) -> bool:
+    return isinstance(value, int) and value > 0
 
 
 def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:

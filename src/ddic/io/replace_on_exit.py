@@ -57,7 +57,9 @@ class NewFiles:
         temporary = make_temporary_name(path)
         note_unfinished(temporary)
         self.begun[path] = temporary, -1
-        self.begun[path] = temporary, _create_locked(temporary)
+        descriptor = _open_locked(temporary, fcntl.LOCK_EX)
+        self.begun[path] = temporary, descriptor
+        os.ftruncate(descriptor, 0)
         return temporary
 
     def remove_old(self, path: Path) -> None:
@@ -157,16 +159,24 @@ def _remove_if_abandoned(path: Path, *, is_ours: bool) -> None:
         os.close(descriptor)
 
 
-def _create_locked(path: Path) -> int:
-    """Make an empty file and hold its lock; returns the descriptor."""
+def _open_locked(path: Path, operation: int) -> int:
+    """Open a file, make it where it is not there, and lock it; the descriptor that holds the lock is returned.
+
+    Raises BlockingIOError where another process has the lock and ``operation`` does not wait.
+    """
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o666)
-        with suppress(OSError):
-            # Where a file system knows no locks nothing is ever taken for abandoned.
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        try:
+            fcntl.flock(descriptor, operation)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise
+        except OSError:
+            # A file system without locks: nothing is ever taken there for abandoned, or for held.
+            return descriptor
         if os.fstat(descriptor).st_nlink:
             return descriptor
-        # Between its making and its lock it was taken for abandoned, and removed.
+        # Between its making and its lock it was removed, as abandoned or by its last holder.
         os.close(descriptor)
 
 
@@ -217,10 +227,14 @@ def held_output(path: Path) -> Iterator[None]:
     """
     lock = get_lock_path(path)
     try:
-        descriptor = _take(path, lock)
+        descriptor = _open_locked(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(f"output.file: {path} is being written by another run ({_read_holder(lock)}); wait for its "
+                         "end, or choose another name") from None
     except OSError as error:
         error.filename = str(path)
         raise
+    _sign(descriptor)
     note_unfinished(lock)
     try:
         remove_abandoned(path.parent)
@@ -238,25 +252,12 @@ def get_lock_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.lock")
 
 
-def _take(path: Path, lock: Path) -> int:
-    """Take the lock; returns the descriptor that holds it."""
-    while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = os.pread(descriptor, LONGEST_NOTE, 0).decode("utf-8", "replace").strip() or "another process"
-            os.close(descriptor)
-            raise InputError(f"output.file: {path} is being written by another run ({holder}); wait for its end, or "
-                             "choose another name") from None
-        except OSError:
-            # A file system without locks.
-            return descriptor
-        if os.fstat(descriptor).st_nlink:
-            _sign(descriptor)
-            return descriptor
-        # Its last holder has removed it in between: another run may make it anew.
-        os.close(descriptor)
+def _read_holder(lock: Path) -> str:
+    try:
+        note = lock.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        note = ""
+    return note[:LONGEST_NOTE].strip() or "another process"
 
 
 def _sign(descriptor: int) -> None:

@@ -1,7 +1,7 @@
 """Reads a result file back: one mesh and its fields, y down, whatever the pieces were."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,14 +15,12 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import READ_ERRORS, describe_damage, open_hdf5, read_array
+from ddic.io.hdf5_file import READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import as_path, require_file
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
 from ddic.separated.field import LineElements, SeparatedField
-
-Arrays = Mapping[str, NDArray[Any]]
 
 SAME_NODE_PX = 1e-9
 """Distance, pixels, from a node below which a point is that node: rounding of coordinates."""
@@ -284,7 +282,7 @@ def require_known_displacement(result: Result) -> None:
     """
     if not result.measured_nodes.any():
         raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
-    if schema.parse_case(result.attributes).get("discontinuity"):
+    if schema.get_case(result.attributes).get("discontinuity"):
         # Where a line parts cells, pixels of a node's cells may say nothing of one of its sides.
         return
     n_cells = result.mesh.n_cells
@@ -315,17 +313,21 @@ def check_schema(path: Path, file: Any) -> None:
                          "use the ddic version that wrote it")
 
 
-def read_open_file(path: Path, file: Any, *, with_image: bool = False) -> Result:
+def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[Any], NDArray[Any]] = read_array,
+                   known: Mapping[str, Any] | None = None) -> Result:
     """Join the pieces of an open file to a result.
 
-    ``path`` is what it is called, empty for what is only in memory. ``with_image`` reads the residual image at once, of
-    a file that cannot be opened again for it.
+    ``path`` is what it is called, empty for what is only in memory. A frame of a series is read by ``rest``, the group
+    of what is neither its geometry nor its fields, ``pick``, which reads its rows of a dataset of these, and ``known``,
+    what is known of its case beside.
     """
-    flipped = schema.is_flipped(file)
-    grid = {name: read_array(file[schema.VTKHDF][name]) for name in schema.TOPOLOGY}
-    points = _unflipped(read_array(file[schema.VTKHDF]["Points"]), flipped)
-    point_data = _fields(file[schema.POINT_DATA], flipped)
-    cell_data = _fields(file[schema.CELL_DATA], flipped)
+    # Only the file of a pair is opened again for its image.
+    has_image_at_once = rest is not None or path == Path()
+    rest, flipped = file if rest is None else rest, schema.is_flipped(file)
+    grid = {name: pick(file[schema.VTKHDF][name]) for name in schema.TOPOLOGY}
+    points = pick(file[schema.VTKHDF]["Points"])
+    points = schema.flip_components(points) if flipped else points
+    point_data, cell_data = (_fields(file[kind], pick, flipped) for kind in (schema.POINT_DATA, schema.CELL_DATA))
     damage.require_sound_pieces(grid, points, point_data, cell_data)
     mesh, point_rows, cell_rows = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID],
                                                cell_data[schema.GLOBAL_CELL_ID])
@@ -333,10 +335,12 @@ def read_open_file(path: Path, file: Any, *, with_image: bool = False) -> Result
     on_cells = {name: values[cell_rows] for name, values in cell_data.items()}
     displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
     damage.require_sound_values(mesh, displacement)
-    attributes = {name: dict(file[name].attrs) for name in file
+    attributes = {name: dict(rest[name].attrs) for name in rest
                   if name in schema.ATTRIBUTE_GROUPS or name.startswith(schema.NEAR_PREFIX)}
+    if known:
+        attributes[schema.CASE] = {**attributes.get(schema.CASE, {}), **known}
     damage.require_sound_attributes(attributes)
-    tables = {group: _arrays(file, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
+    tables = {group: _arrays(rest, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
                                                         schema.PHASES)}
     damage.require_sound_tables(tables)
     result = Result(
@@ -351,13 +355,13 @@ def read_open_file(path: Path, file: Any, *, with_image: bool = False) -> Result
         attributes=attributes,
         flipped=flipped,
         corrections=tables[schema.CORRECTIONS],
-        separated=_read_separated(file),
-        failure=str(file.attrs.get(schema.FAILURE, "")),
+        separated=_read_separated(rest),
+        failure=str(rest.attrs.get(schema.FAILURE, "")),
         phases=tables[schema.PHASES],
     )
-    if with_image:
+    if has_image_at_once:
         # What is computed at first use may also be put in place, whatever the class is frozen for.
-        result.__dict__["residual_image"] = _read_residual_image(file)
+        result.__dict__["residual_image"] = _read_residual_image(rest)
     return result
 
 
@@ -394,11 +398,6 @@ def merge_pieces(grid: Arrays, points: Array, global_node_ids: IntArray,
     first_copy = np.unique(global_node_ids, return_index=True)[1]
     node_ids = np.searchsorted(global_node_ids[first_copy], global_node_ids)
     order = np.argsort(global_cell_ids, kind="stable")
-    return _merge_mesh(grid, points[first_copy, :2], node_ids, order), first_copy, order
-
-
-def _merge_mesh(grid: Arrays, nodes: Array, node_ids: IntArray, order: NDArray[np.intp]) -> Mesh:
-    """The whole mesh; node_ids: number in ``nodes`` of each stored point; order: of the stored cells."""
     n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     offsets, connectivity = grid["Offsets"], grid["Connectivity"]
     connectivity = node_ids[connectivity + np.repeat(np.cumsum(n_points) - n_points, n_ids)]
@@ -409,23 +408,20 @@ def _merge_mesh(grid: Arrays, nodes: Array, node_ids: IntArray, order: NDArray[n
     starts, counts = starts[order], counts[order]
     new_offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     picked = np.arange(new_offsets[-1]) + np.repeat(starts - new_offsets[:-1], counts)
-    return Mesh(np.ascontiguousarray(nodes), connectivity[picked].astype(np.int64), new_offsets,
+    mesh = Mesh(np.ascontiguousarray(points[first_copy, :2]), connectivity[picked].astype(np.int64), new_offsets,
                 grid["Types"][order].astype(np.uint8))
+    return mesh, first_copy, order
 
 
-def _fields(group: Any, flipped: bool) -> dict[str, NDArray[Any]]:
+def _fields(group: Any, pick: Callable[[Any], NDArray[Any]], flipped: bool) -> dict[str, NDArray[Any]]:
     """All datasets of a group, y down."""
     fields = {}
     for name, data in group.items():
         # Before schema 1.4 all were written as if they had the image's axes.
         axes = str(data.attrs.get("axes", schema.AXES_OF_IMAGE))
-        fields[name] = _unflipped(read_array(data), flipped and axes == schema.AXES_OF_IMAGE)
+        values = pick(data)
+        fields[name] = schema.flip_components(values) if flipped and axes == schema.AXES_OF_IMAGE else values
     return fields
-
-
-def _unflipped(values: NDArray[Any], flipped: bool) -> NDArray[Any]:
-    """Values with y down; flipped: the file has it up."""
-    return schema.flip_components(values) if flipped else values
 
 
 def _arrays(file: Any, group: str) -> dict[str, NDArray[Any]]:

@@ -1,7 +1,7 @@
 """Names, version and standard fields of the result file (docs/result-file.md)."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -199,12 +199,6 @@ def is_flipped(file: Any) -> bool:
     return str(file.attrs[Y_AXIS]) == "up"
 
 
-def copy_attributes(source: Any, target: Any, names: Iterable[str]) -> None:
-    """Copy some attributes of a group to another one."""
-    for name in names:
-        target.attrs[name] = source.attrs[name]
-
-
 def create_vtk_group(file: Any, kind: str) -> Any:
     """Create the group that VTK reads, an ``UnstructuredGrid`` or ``ImageData``, and return it."""
     group = file.create_group(VTKHDF)
@@ -214,8 +208,8 @@ def create_vtk_group(file: Any, kind: str) -> Any:
     return group
 
 
-def parse_case(attributes: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Parse the case that stands among the attributes of a result: sections by name, of keys by name."""
+def get_case(attributes: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Get the case that stands among the attributes of a result: sections by name, of keys by name."""
     return json.loads(str(attributes.get(CASE, {}).get("json", "{}")))
 
 
@@ -253,10 +247,7 @@ def frame_group(number: int) -> str:
 
 
 def earlier_path(result: Path) -> Path:
-    """Name the file to which a failed run moves an earlier result of the name that it was to write.
-
-    It stands in the same folder: NAME.earlier.vtkhdf.
-    """
+    """Name the file to which a failed run moves an earlier result, in the same folder: NAME.earlier.vtkhdf."""
     return _insert(result, "earlier")
 
 
@@ -266,10 +257,9 @@ def _insert(path: Path, word: str) -> Path:
 
 
 def sidecar_path(path: Path, camera: int = 0) -> Path:
-    """Name the ImageData file that shows a residual image of a result, beside it.
+    """Name the ImageData file that shows a camera's residual image: NAME.residual.vtkhdf, NAME.near_1.residual.vtkhdf.
 
-    It is NAME.residual.vtkhdf for camera 0, the far one or the only one, and NAME.near_1.residual.vtkhdf for the first
-    near one.
+    ``camera`` is 0 for the far camera, or the only one; then the near ones.
     """
     near = "" if camera == 0 else f".near_{camera}"
     return path.with_name(f"{path.stem}{near}.residual.vtkhdf")

@@ -1,8 +1,15 @@
-"""Writes the result file piece by piece, in the VTKHDF layout (UnstructuredGrid, one piece per subdomain)."""
+"""Writes the result file piece by piece, in the VTKHDF layout (UnstructuredGrid, one piece per subdomain).
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+And what stands beside it: the summary, and small VTKHDF files. One shows the result in its length unit: points, and
+displacements that match them. ImageData files show the residual images kept in the result file. A result and what
+stands beside it are moved or removed together.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -13,14 +20,12 @@ from numpy.typing import DTypeLike, NDArray
 
 from ddic.arrays import Array, IntArray
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import ChunkGrid, new_hdf5
+from ddic.io.hdf5_file import Arrays, ChunkGrid, new_hdf5, open_hdf5
 from ddic.io.replace_on_exit import NewFiles, replaced_together
 from ddic.io.result_reader import Result, read_open_file
 from ddic.io.result_schema import FieldSpec
-from ddic.io.sidecars import write_physical_sidecar, write_sidecar
+from ddic.io.text_files import write_json
 from ddic.separated.field import SeparatedField
-
-Arrays = Mapping[str, NDArray[Any]]
 
 CHUNK_CACHE_BYTES = 64 << 20
 
@@ -87,29 +92,38 @@ class ResultWriter:
         self._flip_y = flip_y
         self._files = files
         # What lies before each of the announced pieces, and at last all of them.
-        self._starts: list[PieceSize] = []
+        self._starts: list[list[int]] = []
         # Datasets of the fields at the points and on the cells, beside what they are.
         self._fields: dict[str, list[tuple[FieldSpec, Any]]] = {}
         self._written: set[int] = set()
         self._grids: list[ChunkGrid] = []
-        self._stack = ExitStack()
+        # Raises where the disk has refused a part: what is still to come would be kept in memory.
+        self._require_written: Callable[[], None] = lambda: None
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            self._file, self._require_written = self._open(stack)
-            schema.begin_file(self._file, flipped=self._flip_y)
-            self._stack = stack.pop_all()
+        self._opened = self._open()
+        self._opened.__enter__()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        if error is not None:
-            self._stack.__exit__(kind, error, trace)
-            return
-        with self._stack:
+        self._opened.__exit__(kind, error, trace)
+
+    @contextmanager
+    def _open(self) -> Iterator[None]:
+        """Open the file under its temporary name, or in memory, and complete it where the block does not fail."""
+        with ExitStack() as stack:
+            if self._path is None:
+                self._file = stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False))
+            else:
+                files = self._files or stack.enter_context(replaced_together())
+                self._file, self._require_written = stack.enter_context(
+                    new_hdf5(files.begin(self._path), CHUNK_CACHE_BYTES))
+            schema.begin_file(self._file, flipped=self._flip_y)
+            yield
             self._refuse_missing_pieces()
-            if self._path is not None and self._files is not None:
-                self._write_company(self._path, self._files)
+            if self._path is not None:
+                self._write_company(self._path, files)
 
     def _write_company(self, path: Path, files: NewFiles) -> None:
         """Write what shows the residual images and the length unit."""
@@ -126,7 +140,7 @@ class ResultWriter:
     def read_back(self) -> Result:
         """Read what was written, with the residual image, to memory while the file is open."""
         self._refuse_missing_pieces()
-        return read_open_file(self._path or Path(), self._file, with_image=self._path is None)
+        return read_open_file(Path(), self._file)
 
     def read_image(self) -> bytes:
         """Read the content of a file in memory, as it would be on the disk."""
@@ -138,18 +152,18 @@ class ResultWriter:
                       cell_fields: Sequence[FieldSpec]) -> None:
         """Make room for a mesh in pieces of these sizes, all of them, and for the fields that every piece brings."""
         counts = np.array(sizes, np.int64).reshape(-1, 3)
-        self._starts = [PieceSize(*row) for row in np.cumsum([(0, 0, 0), *counts], axis=0).tolist()]
-        total = self._starts[-1]
+        self._starts = np.cumsum([(0, 0, 0), *counts], axis=0).tolist()
+        n_points, n_cells, n_connectivity = self._starts[-1]
         group = schema.create_vtk_group(self._file, "UnstructuredGrid")
         for name, of_pieces in zip(schema.PIECES, counts.T, strict=True):
             group[name] = of_pieces
-        _create(group, "Points", total.n_points, 3, np.float64).attrs["unit"] = "px"
-        _create(group, "Connectivity", total.n_connectivity, 1, np.int64)
+        _create(group, "Points", n_points, 3, np.float64).attrs["unit"] = "px"
+        _create(group, "Connectivity", n_connectivity, 1, np.int64)
         # Each piece has one offset more than cells.
-        _create(group, "Offsets", total.n_cells + len(sizes), 1, np.int64)
-        _create(group, "Types", total.n_cells, 1, np.uint8)
-        self._create_fields(schema.POINT_DATA, point_fields, total.n_points)
-        self._create_fields(schema.CELL_DATA, cell_fields, total.n_cells)
+        _create(group, "Offsets", n_cells + len(sizes), 1, np.int64)
+        _create(group, "Types", n_cells, 1, np.uint8)
+        self._create_fields(schema.POINT_DATA, point_fields, n_points)
+        self._create_fields(schema.CELL_DATA, cell_fields, n_cells)
 
     def write_pieces(self, indices: range, pieces: Piece) -> None:
         """Write the mesh and fields of some pieces that follow each other.
@@ -163,22 +177,22 @@ class ResultWriter:
         if again:
             raise ValueError(f"pieces {again} were written before")
         start, stop = self._starts[indices.start], self._starts[indices.stop]
-        n_points, n_cells = stop.n_points - start.n_points, stop.n_cells - start.n_cells
-        for what, found, expected in (("points", len(pieces.points), n_points),
-                                      ("types", len(pieces.types), n_cells),
-                                      ("offsets", len(pieces.offsets), n_cells + len(indices)),
-                                      ("connectivity", len(pieces.connectivity),
-                                       stop.n_connectivity - start.n_connectivity)):
-            if found != expected:
-                raise ValueError(f"pieces {indices}: {found} {what}, {expected} announced")
+        point, cell, connectivity = start
+        n_points, n_cells, n_connectivity = (end - begin for begin, end in zip(start, stop, strict=True))
+        sizes = {"points": n_points, "types": n_cells, "offsets": n_cells + len(indices),
+                 "connectivity": n_connectivity}
+        for what, announced in sizes.items():
+            found = len(getattr(pieces, what))
+            if found != announced:
+                raise ValueError(f"pieces {indices}: {found} {what}, {announced} announced")
         group = self._file[schema.VTKHDF]
         points = _three_components(np.asarray(pieces.points, np.float64))
-        _put(group["Points"], start.n_points, self._oriented(points))
-        _put(group["Connectivity"], start.n_connectivity, pieces.connectivity)
-        _put(group["Offsets"], start.n_cells + indices.start, pieces.offsets)
-        _put(group["Types"], start.n_cells, pieces.types)
-        self._write_fields(schema.POINT_DATA, pieces.point_data, start.n_points, n_points)
-        self._write_fields(schema.CELL_DATA, pieces.cell_data, start.n_cells, n_cells)
+        _put(group["Points"], point, self._oriented(points))
+        _put(group["Connectivity"], connectivity, pieces.connectivity)
+        _put(group["Offsets"], cell + indices.start, pieces.offsets)
+        _put(group["Types"], cell, pieces.types)
+        self._write_fields(schema.POINT_DATA, pieces.point_data, point, n_points)
+        self._write_fields(schema.CELL_DATA, pieces.cell_data, cell, n_cells)
         self._require_written()
         self._written.update(indices)
 
@@ -251,18 +265,6 @@ class ResultWriter:
         self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
         self._file.attrs[schema.FAILURE] = failure
 
-    def _open(self, stack: ExitStack) -> tuple[h5py.File, Callable[[], None]]:
-        """The file under its temporary name, or in memory.
-
-        Beside it comes what raises OSError where the disk has refused a part: what is still to come would be kept in
-        memory.
-        """
-        if self._path is None:
-            return stack.enter_context(h5py.File("in memory", "w", driver="core", backing_store=False)), lambda: None
-        if self._files is None:
-            self._files = stack.enter_context(replaced_together())
-        return stack.enter_context(new_hdf5(self._files.begin(self._path), CHUNK_CACHE_BYTES))
-
     def _refuse_missing_pieces(self) -> None:
         """Raise where an announced piece has not been written."""
         missing = sorted(set(range(len(self._starts) - 1)) - self._written)
@@ -333,3 +335,130 @@ def _three_components(vectors: NDArray[Any]) -> NDArray[Any]:
     if vectors.ndim != 2 or vectors.shape[1] > 3:
         raise ValueError(f"vectors of shape {vectors.shape}, (n, dim) expected")
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
+
+
+ROWS = 1 << 16
+"""Points that are read at a time; a larger value takes memory."""
+
+
+def write_physical_sidecar(result: Path, source: Any, files: NewFiles) -> None:
+    """Write the file that shows a result in its length unit, NAME.physical.vtkhdf beside it.
+
+    It holds the points alone: HDF5 external links lead to cells and fields in the result file, so both move together.
+    Its field ``displacement`` is the result's ``displacement_physical``, and there is no other displacement: what is
+    warped by it is the deformed specimen. ``source`` is the open content of the result file, with the size of a pixel
+    in its units.
+    """
+    with new_hdf5(files.begin(schema.physical_path(result))) as (file, _):
+        units = source[schema.UNITS].attrs
+        schema.begin_file(file, flipped=schema.is_flipped(source))
+        file.attrs[schema.SHOWS] = result.name
+        group = schema.create_vtk_group(file, "UnstructuredGrid")
+        for name in schema.TOPOLOGY:
+            group[name] = _link(result, f"{schema.VTKHDF}/{name}")
+        points, factor = source[schema.VTKHDF]["Points"], float(units["pixel_size"])
+        scaled = group.create_dataset("Points", points.shape, points.dtype)
+        for begin in range(0, len(points), ROWS):
+            scaled[begin:begin + ROWS] = factor * points[begin:begin + ROWS]
+        scaled.attrs["unit"] = units["length_unit"]
+        if schema.STEPS in source:
+            group["Steps"] = _link(result, schema.STEPS)
+        _link_fields(result, source[schema.POINT_DATA], group.create_group("PointData"))
+        _link_fields(result, source[schema.CELL_DATA], group.create_group("CellData"))
+
+
+def _link_fields(result: Path, fields: Any, group: Any) -> None:
+    """Link all fields but those displacements that do not fit the points."""
+    for name in fields:
+        if name in (schema.DISPLACEMENT, schema.DISPLACEMENT_MESH_UNITS):
+            continue
+        shown = schema.DISPLACEMENT if name == schema.DISPLACEMENT_PHYSICAL else name
+        group[shown] = _link(result, f"{fields.name}/{name}")
+
+
+def _link(result: Path, name: str) -> h5py.ExternalLink:
+    return h5py.ExternalLink(result.name, name)
+
+
+def write_sidecar(result: Path, camera: int, *, width: int, height: int, flip_y: bool, files: NewFiles) -> None:
+    """Write the ImageData file that shows a residual image of a result, named by ``sidecar_path``.
+
+    It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together. ``camera``
+    is 0 for the far camera, or the only one; then the near ones. ``width`` and ``height`` are those of the image,
+    pixels. ``flip_y`` shows rows upwards (through VTKHDF's Direction, spacings being positive).
+    """
+    with new_hdf5(files.begin(schema.sidecar_path(result, camera))) as (file, _):
+        schema.begin_file(file, flipped=flip_y)
+        group = schema.create_vtk_group(file, "ImageData")
+        group.attrs["WholeExtent"] = np.array([0, width - 1, 0, height - 1, 0, 0], np.int64)
+        group.attrs["Origin"] = np.zeros(3)
+        group.attrs["Spacing"] = np.ones(3)
+        group.attrs["Direction"] = np.diag([1.0, -1.0 if flip_y else 1.0, 1.0]).ravel()
+        data = group.create_group("PointData")
+        data[schema.RESIDUAL] = _link(result, f"/{schema.residual_group(camera)}/{schema.RESIDUAL}")
+
+
+def remove_result(result: Path) -> None:
+    """Remove a result file and what stands beside it, as far as they are there."""
+    result.unlink(missing_ok=True)
+    _remove_company(result)
+
+
+def move_result(result: Path, target: Path) -> None:
+    """Give a result file and what stands beside it another name in its folder, in place of what has that name."""
+    # First, and at once: whatever fails afterwards, neither is lost.
+    result.replace(target)
+    _remove_company(target)
+    for camera, sidecar in enumerate(list(_list_sidecars(result))):
+        _write_moved_sidecar(sidecar, target, camera)
+        sidecar.unlink()
+    physical = schema.physical_path(result)
+    if physical.is_file():
+        physical.unlink()
+        if _has_length_unit(target):
+            with open_hdf5(target) as source, replaced_together() as files:
+                write_physical_sidecar(target, source, files)
+    summary = schema.summary_path(result)
+    if summary.is_file():
+        summary.rename(schema.summary_path(target))
+        _write_new_name(schema.summary_path(target), target)
+
+
+def _remove_company(result: Path) -> None:
+    for path in (schema.summary_path(result), schema.physical_path(result), *_list_sidecars(result)):
+        path.unlink(missing_ok=True)
+
+
+def _list_sidecars(result: Path) -> Iterator[Path]:
+    for camera in count():
+        path = schema.sidecar_path(result, camera)
+        if not path.is_file():
+            return
+        yield path
+
+
+def _write_moved_sidecar(sidecar: Path, target: Path, camera: int) -> None:
+    """Write anew what leads to a residual image by the name of its file."""
+    with open_hdf5(sidecar) as file:
+        _, last_column, _, last_row, _, _ = file[schema.VTKHDF].attrs["WholeExtent"]
+        flip_y = schema.is_flipped(file)
+    with replaced_together() as files:
+        write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=flip_y, files=files)
+
+
+def _has_length_unit(result: Path) -> bool:
+    """Whether a file holds displacements in a length unit; what is no result does not."""
+    if not h5py.is_hdf5(result):
+        return False
+    with open_hdf5(result) as file:
+        return schema.DISPLACEMENT_PHYSICAL in file.get(schema.POINT_DATA, ())
+
+
+def _write_new_name(summary: Path, result: Path) -> None:
+    try:
+        content = json.loads(summary.read_text(encoding="utf-8"))
+    except ValueError:
+        # Whatever it is, it is not a summary that says a name.
+        return
+    if isinstance(content, dict) and "result_file" in content:
+        write_json(summary, content | {"result_file": str(result)})

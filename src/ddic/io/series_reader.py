@@ -6,18 +6,20 @@ its number.
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import READ_ERRORS, open_hdf5, read_array, require_sound_frames
+from ddic.io.damaged_result import require_sound_frames
+from ddic.io.hdf5_file import READ_ERRORS, open_hdf5, read_array
 from ddic.io.input_file import is_readable_file
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 from ddic.mesh.mesh import Mesh
@@ -65,24 +67,20 @@ class SeriesResult:
         return (self._read(step) for step in range(len(self)))
 
     def _read(self, step: int) -> Result:
+        number = self.numbers[step]
         with opened_result(self.path) as (_, file):
             if schema.STEPS not in file:
                 return read_open_file(self.path, file)
-            with h5py.File("frame", "w", driver="core", backing_store=False) as frame:
-                _extract(file, step, int(self.numbers[step]), frame)
-                floor = next((record.get(schema.NOISE_FLOOR) for record in self.records
-                              if record["number"] == self.numbers[step]), None)
-                if floor is not None:
-                    # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
-                    frame.require_group(schema.CASE).attrs[schema.NOISE_FLOOR] = floor
-                return read_open_file(self.path, frame, with_image=True)
+            # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
+            floor = next((record.get(schema.NOISE_FLOOR) for record in self.records if record["number"] == number),
+                         None)
+            known = {} if floor is None else {schema.NOISE_FLOOR: floor}
+            return read_open_file(self.path, file, rest=file[schema.frame_group(int(number))],
+                                  pick=_build_row_reader(file, step), known=known)
 
 
 def is_series_file(path: Path) -> bool:
-    """Tell whether a file holds the frames of a series, be it one.
-
-    False for what is no file, no HDF5, damaged or the result of a pair.
-    """
+    """Tell whether a file holds the frames of a series, be it one; what is no file, or damaged, does not."""
     if not is_readable_file(path) or not h5py.is_hdf5(path):
         return False
     try:
@@ -136,32 +134,24 @@ def _read_contents(path: Path, file: Any) -> SeriesResult:
     return SeriesResult(path, times, numbers, records)
 
 
-def _extract(file: Any, step: int, number: int, frame: Any) -> None:
-    """Write a step as the result file of a pair has it."""
-    schema.copy_attributes(file, frame, schema.OF_FORMAT)
-    rest = file[schema.frame_group(number)]
-    for name in rest:
-        rest.copy(name, frame)
-    schema.copy_attributes(rest, frame, schema.OF_STATUS)
-    grid, steps, target = file[schema.VTKHDF], file[schema.STEPS], frame.create_group(schema.VTKHDF)
+def _build_row_reader(file: Any, step: int) -> Callable[[Any], NDArray[Any]]:
+    """A function that reads the rows of a step from a dataset of the geometry or of a field."""
+    grid, steps = file[schema.VTKHDF], file[schema.STEPS]
     part, n_parts = int(steps["PartOffsets"][step]), int(steps["NumberOfParts"][step])
     point, cell = int(steps["PointOffsets"][step]), int(steps["CellOffsets"][step, 0])
     connectivity = int(steps["ConnectivityIdOffsets"][step, 0])
-    counts = {}
-    for name in schema.PIECES:
-        target[name] = grid[name][part:part + n_parts]
-        counts[name] = int(target[name][...].sum())
-    n_points, n_cells = counts["NumberOfPoints"], counts["NumberOfCells"]
-    target["Points"] = grid["Points"][point:point + n_points]
-    target["Types"] = grid["Types"][cell:cell + n_cells]
-    target["Offsets"] = grid["Offsets"][cell + part:cell + part + n_cells + n_parts]
-    target["Connectivity"] = grid["Connectivity"][connectivity:connectivity + counts["NumberOfConnectivityIds"]]
-    for kind, n in (("PointData", n_points), ("CellData", n_cells)):
-        fields = target.create_group(kind)
-        for name, values in grid[kind].items():
-            begin = int(steps[f"{kind}Offsets/{name}"][step])
-            fields[name] = values[begin:begin + n]
-            fields[name].attrs.update(dict(values.attrs))
+    n_points, n_cells, n_ids = (int(grid[name][part:part + n_parts].sum()) for name in schema.PIECES)
+    # The first row and the number of rows.
+    rows = {**dict.fromkeys(schema.PIECES, (part, n_parts)), "Points": (point, n_points), "Types": (cell, n_cells),
+            "Offsets": (cell + part, n_cells + n_parts), "Connectivity": (connectivity, n_ids)}
+    n_values = {"PointData": n_points, "CellData": n_cells}
+
+    def read_rows(dataset: Any) -> NDArray[Any]:
+        group, name = dataset.name.split("/")[-2:]
+        begin, n = (int(steps[f"{group}Offsets/{name}"][step]), n_values[group]) if group in n_values else rows[name]
+        return np.asarray(dataset[begin:begin + n])
+
+    return read_rows
 
 
 ROWS = 1 << 18
@@ -227,8 +217,9 @@ def gather_history(series: SeriesResult) -> SeriesHistory:
         sizes[place] = _measure_sizes(result)
 
     def list_numbers(key: str) -> Array:
-        known = [record.get(key) if measured else None for record, measured in zip(records, is_measured, strict=True)]
-        return np.array([np.nan if value is None else value for value in known], float)
+        # None becomes nan.
+        return np.array([record.get(key) if measured else None
+                         for record, measured in zip(records, is_measured, strict=True)], float)
 
     return SeriesHistory(
         times=np.array([record["time"] for record in records], float), is_measured=is_measured, lowest=sizes[:, 0],

@@ -17,10 +17,9 @@ from ddic.case.named_files import list_cameras, list_deformed, list_times
 from ddic.errors import ConvergenceError, DdicError, StoppedError, as_collective, is_collective
 from ddic.inputs.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.io import result_schema as schema
-from ddic.io.join_frames import join_frames
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import ResultWriter
-from ddic.io.series_folder import BackgroundWriter, ReadAhead, SeriesFolder
+from ddic.io.series_writer import BackgroundWriter, ReadAhead, SeriesFolder, join_frames
 from ddic.methods.series_frame import (
     N_STATES,
     FramesSoFar,

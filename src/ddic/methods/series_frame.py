@@ -16,7 +16,7 @@ from ddic.case.named_files import list_times
 from ddic.errors import ConvergenceError, DdicError, SingularSubdomainError, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import FrameOpener, Inputs, inputs_kept
-from ddic.io.series_folder import FrameState
+from ddic.io.series_writer import FrameState
 from ddic.methods.dd_dic import DecomposedSession
 from ddic.methods.detect import add_notes, measure_and_look
 from ddic.parallel.phases import PhaseClock

@@ -299,8 +299,7 @@ def pick_component(vectors: Array, component: Component) -> Array:
     """Pick one component of vectors (n, 2), or their length, (n,)."""
     if component == "magnitude":
         return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
-    axis = 0 if component == "x" else 1
-    return vectors[:, axis]
+    return vectors[:, "xy".index(component)]
 
 
 def format_component(symbol: str, component: Component) -> str:

@@ -3,7 +3,7 @@
 Gauss-Newton and PGD-DIC (Fig. 8a of [PP12]) by corrections and residual against their number; the functions of x and of
 y that a separated displacement is made of (Fig. 9 of [PP12]); opening of discontinuities along them; measurement
 uncertainty against the size of the elements [RRH07], [RHR08]; displacement and strain along a line, with a band of what
-noise leaves in them; a sweep over cut-off wavelengths and element sizes.
+noise leaves in them; a sweep over cut-off wavelengths and element sizes; how residuals and grey levels are distributed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,7 +45,7 @@ def draw_krylov(curves: Mapping[str, Sequence[Array]]) -> Figure:
     Each label has a line style; its Gauss-Newton iterations run through the colours. The label is empty for one result
     alone.
     """
-    figure, axes = _make_wide_figure()
+    figure, axes = _make_figure(7.0, 4.5)
     for (style, marker), (label, histories) in zip(cycle(STYLES), curves.items(), strict=False):
         shades = colormaps[COLOURS](np.linspace(0.0, LIGHTEST, len(histories)))
         for number, (history, shade) in enumerate(zip(histories, shades, strict=True), start=1):
@@ -71,8 +71,8 @@ def draw_krylov(curves: Mapping[str, Sequence[Array]]) -> Figure:
     return figure
 
 
-def _make_wide_figure() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.0, 4.5), layout="tight")
+def _make_figure(width: float, height: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height), layout="tight")
     return figure, figure.add_subplot()
 
 
@@ -177,7 +177,7 @@ def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthU
 
     ``curves`` hold, by the label of a line, distance along it, tangential and normal opening, (n,) each, in the unit.
     """
-    figure, axes = _make_wide_figure()
+    figure, axes = _make_figure(7.0, 4.5)
     for (style, _), (label, (distance, tangential, normal)) in zip(cycle(STYLES), curves.items(), strict=False):
         prefix = "" if len(curves) == 1 else f"{label}, "
         axes.plot(distance, normal, style, color="tab:blue", linewidth=1.4, label=f"{prefix}normal")
@@ -391,3 +391,53 @@ def _finish(corner: Axes, residual: Axes, error: Axes, lengths: tuple[Array, Arr
         axes.set_xticks([], minor=True)
     for axes in (corner, residual, error):
         axes.grid(which="both", alpha=0.25)
+
+
+N_BINS = 120
+"""Of a histogram; more show the noise of their counts."""
+
+WIDEST = 6.0
+"""Standard deviations to either side of 0 that are shown of residuals."""
+
+HISTOGRAM_COLOURS = ("tab:blue", "tab:orange")
+
+
+def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
+    """Draw the distribution of the residual beside the normal one of the same standard deviation.
+
+    Tails above the normal ones are not noise.
+    """
+    values = residual[np.isfinite(residual)].astype(np.float64)
+    std = float(values.std()) if values.size else 1.0
+    # Of a residual of one value, such as 0, the curve is that of any deviation.
+    std = std or 1.0
+    edge = WIDEST * std
+    figure, axes = _make_figure(5.0, 3.4)
+    counts, edges = np.histogram(values, bins=N_BINS, range=(-edge, edge))
+    density = counts / max(values.size, 1) / np.diff(edges)
+    axes.stairs(density, edges, fill=True, color="tab:blue", alpha=0.6, label="residual")
+    x = np.linspace(-edge, edge, 400)
+    normal = np.exp(-0.5 * (x / std)**2) / (std * np.sqrt(2.0 * np.pi))
+    axes.plot(x, normal, color="black", linewidth=1.2, label="normal, same deviation")
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=1e-6 / std)
+    axes.set(xlabel="$f(x) - g(x + u)$ [grey levels]", ylabel="density [1 / grey level]")
+    axes.legend(fontsize="small", loc="lower center")
+    return figure
+
+
+def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:
+    """Draw the distribution of the grey levels of images, by their names."""
+    figure, axes = _make_figure(5.0, 3.4)
+    finite = {name: pixels[np.isfinite(pixels)] for name, pixels in images.items()}
+    low, high = (float(edge([edge(pixels) for pixels in finite.values()])) for edge in (np.min, np.max))
+    # Bins of whole grey levels: others would hold now one level, now two.
+    width = max(1.0, np.ceil((high - low + 1.0) / N_BINS)) if high - low > 1.0 else (high - low or 1.0) / N_BINS
+    edges = np.arange(low - 0.5 * min(width, 1.0), high + width, width)
+    for (name, pixels), colour in zip(finite.items(), HISTOGRAM_COLOURS, strict=False):
+        density = np.histogram(pixels, edges)[0] / pixels.size / width
+        axes.stairs(density, edges, color=colour, linewidth=1.4, label=name)
+    axes.set(xlabel="grey level", ylabel="density [1 / grey level]")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(fontsize="small")
+    return figure

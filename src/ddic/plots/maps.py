@@ -1,8 +1,8 @@
 """A value at the nodes or on the cells in colour, over the reference image where there is one.
 
-Maps of displacement, also around near fields, of strain and of the difference between two measured
-fields (Fig. 10), the deformed mesh (Fig. 9), and an image thinned out to what a figure can show. Limits of colours are
-in the unit that is drawn.
+Maps of displacement, also around near fields, of strain, of the difference between two measured fields (Fig. 10) and of
+the correlation residual, the deformed mesh (Fig. 9), and an image thinned out to what a figure can show. Limits of
+colours are in the unit that is drawn.
 """
 
 import math
@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
@@ -21,14 +22,7 @@ from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result, displacement_at
-from ddic.kinematics.strain import (
-    compute_hencky,
-    compute_von_mises_strain,
-    count_folded_cells,
-    find_largest_gradient,
-    find_principal_strains,
-    project_rigid_motion_out,
-)
+from ddic.kinematics import strain
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
@@ -87,13 +81,19 @@ class Preview:
     height: int
 
     def draw(self, axes: Axes, size: float = 1.0, opacity: float = 1.0) -> None:
-        """Draw in grey, pixel centres at integers; ``size`` is a pixel's in the axes' unit.
+        """Draw in grey; below an ``opacity`` of 1 over everything that is there."""
+        self.show(axes, size, cmap="gray", zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity)
 
-        Below an ``opacity`` of 1 it is drawn over everything that is there.
+    def show(self, axes: Axes, size: float, **style: Any) -> AxesImage:
+        """Show the pixels, their centres at integers, in a style as ``imshow`` takes it.
+
+        ``size`` is a pixel's in the axes' unit.
         """
-        axes.imshow(self.pixels, cmap="gray", interpolation="nearest", rasterized=True,
-                    zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity,
-                    extent=find_thinned_extent(self.pixels.shape, self.step, size))
+        n_rows, n_columns = self.pixels.shape
+        left = top = -0.5 * self.step * size
+        right, bottom = (n_columns - 0.5) * self.step * size, (n_rows - 0.5) * self.step * size
+        return axes.imshow(self.pixels, interpolation="nearest", rasterized=True, extent=(left, right, bottom, top),
+                           **style)
 
     def clip(self, bounds: Bounds, size: float = 1.0) -> Bounds:
         """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
@@ -125,12 +125,6 @@ def read_preview(source: ImageSource) -> Preview:
     else:
         pixels = np.concatenate([source.read(rows)[::step, ::step] for rows in source.extent.split_rows(64 * step)])
     return Preview(pixels, step, source.width, source.height)
-
-
-def find_thinned_extent(shape: tuple[int, ...], step: int, size: float) -> tuple[float, float, float, float]:
-    """Find left, right, bottom, top of a thinned image, y down, in the axes' unit; ``size`` is a pixel's."""
-    return (size * (-0.5 * step), size * ((shape[1] - 0.5) * step), size * ((shape[0] - 0.5) * step),
-            size * (-0.5 * step))
 
 
 MARGIN = 0.06
@@ -272,18 +266,14 @@ def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS,
                 of_panels: Sequence[Limits] | None = None, image: Preview | None = None) -> Figure:
     """Draw strain on the mesh at rest, in one panel or three, over the image where it is given.
 
-    ``of_panels`` are limits of the colours of each panel, in place of ``limits``. Raises InputError where the result
-    has no strain at nodes.
+    ``of_panels`` are limits of the colours of each panel, in place of ``limits``.
     """
     panels = list_strain_panels(result, choice)
     return draw_values(result.mesh, panels, image, unit, of_panels or [limits] * len(panels))
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
-    """List what the panels of a strain map show, one or three.
-
-    Raises InputError where the result has no strain at nodes.
-    """
+    """List what the panels of a strain map show, one or three."""
     tensors = pick_tensors(result, choice)
     numbers = PANELS if choice.number is None else (choice.number,)
     symbol = "E" if choice.measure == "green-lagrange" else r"\varepsilon"
@@ -304,7 +294,7 @@ def pick_tensors(result: Result, choice: StrainChoice) -> Array:
     if choice.by_cell:
         name = schema.STRAIN_INFINITESIMAL if choice.measure == "infinitesimal" else schema.STRAIN_GREEN_LAGRANGE
         tensors = schema.pick_in_the_plane(result.cell_data[name])
-        return compute_hencky(tensors) if choice.measure == "hencky" else tensors
+        return strain.compute_hencky(tensors) if choice.measure == "hencky" else tensors
     name = schema.NODAL_STRAINS[choice.measure]
     if name not in result.point_data:
         raise InputError(f"{result.path}: holds no strain at nodes (written before schema 1.6); add --by-cell, or run "
@@ -317,8 +307,8 @@ def pick_number(tensors: Array, number: str) -> Array:
     if number in PANELS:
         return tensors[:, PANELS.index(number)]
     if number == "von-mises":
-        return compute_von_mises_strain(tensors)
-    return find_principal_strains(tensors)[:, 0 if number == "principal-1" else 1]
+        return strain.compute_von_mises_strain(tensors)
+    return strain.find_principal_strains(tensors)[:, 0 if number == "principal-1" else 1]
 
 
 VISIBLE_SHARE = 0.05
@@ -347,23 +337,13 @@ class SharedView:
     bounds: Bounds
 
 
-def choose_amplification(result: Result) -> float:
-    """Choose an amplification, one digit, of the displacement without its rigid motion.
-
-    It makes that 5 % of the mesh, or less where the largest gradient of the displacement would fold cells, and is at
-    least 1. Raises InputError where no cell was measured.
-    """
-    mesh, displacement = _keep_measured(result)
-    return _choose_factor(result, mesh, project_rigid_motion_out(mesh.nodes, displacement))
-
-
 def _choose_factor(result: Result, mesh: Mesh, departure: Array) -> float:
-    """An amplification of the displacement of the measured cells without its rigid motion."""
-    largest = float(np.abs(departure).max())
-    if largest == 0.0:
-        return 1.0
-    wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / largest
-    limit = LARGEST_STRETCH / max(find_largest_gradient(mesh, departure), 1e-300)
+    """An amplification, one digit and at least 1, of the displacement of the measured cells without its rigid motion.
+
+    It makes that, which is not 0, 5 % of the mesh, or less where its largest gradient would fold cells.
+    """
+    wanted = VISIBLE_SHARE * float(np.ptp(result.mesh.nodes, axis=0).max()) / float(np.abs(departure).max())
+    limit = LARGEST_STRETCH / max(strain.find_largest_gradient(mesh, departure), 1e-300)
     factor = float(f"{wanted:.0e}")
     return max(1.0, factor if factor <= limit else _round_down(limit))
 
@@ -377,7 +357,7 @@ def find_shared_view(results: Iterable[Result], amplification: float | None, uni
     factors, boxes, moves = [], [], []
     for result in results:
         mesh, displacement = _keep_measured(result)
-        departure = project_rigid_motion_out(mesh.nodes, displacement)
+        departure = strain.project_rigid_motion_out(mesh.nodes, displacement)
         # What stands still looks alike by any factor.
         factors += [_choose_factor(result, mesh, departure)] if departure.any() else []
         shown = departure if amplification is None else displacement
@@ -419,13 +399,13 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
     mesh, displacement = _keep_measured(result)
     rest = unit.size * result.mesh.nodes
     if amplification is None:
-        departure = project_rigid_motion_out(mesh.nodes, displacement)
-        factor = _choose_factor(result, mesh, departure) if shared is None else shared.factor
+        departure = strain.project_rigid_motion_out(mesh.nodes, displacement)
+        factor = (shared or find_shared_view([result], None, unit)).factor
         moved = unit.size * (mesh.nodes + factor * departure)
         title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
     else:
         moved = unit.size * (mesh.nodes + amplification * displacement)
-        n_folded = count_folded_cells(mesh, moved)
+        n_folded = strain.count_folded_cells(mesh, moved)
         folded = f"; {n_folded} cells are folded" if n_folded else ""
         title = f"Deformed mesh, displacement amplified {amplification:g} times{folded}"
     bounds = canvas.find_mesh_bounds(np.concatenate([rest, moved])) if shared is None else shared.bounds
@@ -439,4 +419,72 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
                                           rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
         axes.add_collection(edges)
     canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label("u", component, unit))
+    return figure
+
+
+RESIDUAL_PALETTE, SIGNED_PALETTE = "magma", "RdBu_r"
+
+SHOWN_PERCENT = 99.5
+"""Absolute residuals up to which colours go; a larger value lets single bad pixels darken the rest."""
+
+
+def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PIXELS,
+                  limits: Limits | None = None) -> Figure:
+    """Draw the residual f(x) - g(x + u) by pixel, or its RMS by cell if there is no residual image.
+
+    Colours end at the 99.5 % quantile of absolute values. If ``signed``, 0 is white; absolute values are drawn
+    otherwise. Raises InputError where a sign is asked for and there is no residual image.
+    """
+    image = result.residual_image
+    if image is None:
+        if signed:
+            raise InputError(f"{result.path}: holds no residual image, hence no signs; measure with "
+                             "output.residual_image = true, or choose --kind residual")
+        return _by_cell(result, unit, limits)
+    bounds = canvas.find_mesh_bounds(unit.size * result.mesh.nodes)
+    std = float(np.nanstd(image)) if np.isfinite(image).any() else float("nan")
+    thinned = _thin(image)
+    low, high = limits or _span_shown(thinned.pixels, signed)
+    if signed:
+        name, symbol, palette = "Signed correlation residual", "$f(x) - g(x + u)$", SIGNED_PALETTE
+    else:
+        name, symbol, palette = "Correlation residual", "$|f(x) - g(x + u)|$", RESIDUAL_PALETTE
+        thinned = replace(thinned, pixels=np.abs(thinned.pixels))
+    figure, axes = canvas.make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
+    colours = thinned.show(axes, unit.size, cmap=palette, vmin=low, vmax=high)
+    canvas.set_bounds(axes, bounds)
+    canvas.add_colour_bar(figure, axes, colours, f"{symbol} [grey levels]")
+    return figure
+
+
+def find_residual_limits(result: Result, *, signed: bool = False) -> Limits:
+    """Find where the colours of a residual begin and end, grey levels."""
+    image = result.residual_image
+    if image is None:
+        return canvas.choose_limits(result.cell_data[schema.RESIDUAL_RMS])
+    return _span_shown(_thin(image).pixels, signed)
+
+
+def _thin(image: NDArray[np.float32]) -> Preview:
+    """What a figure can show of an image."""
+    height, width = image.shape
+    step = -(-max(height, width) // LARGEST_SIDE)
+    return Preview(image[::step, ::step], step, width, height)
+
+
+def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:
+    """Where colours begin and end: 0 in the middle of signed values, at the beginning of others."""
+    finite = shown[np.isfinite(shown)]
+    top = float(np.percentile(np.abs(finite), SHOWN_PERCENT)) if finite.size else 1.0
+    top = top or 1.0
+    return (-top if signed else 0.0), top
+
+
+def _by_cell(result: Result, unit: LengthUnit, limits: Limits | None) -> Figure:
+    """RMS by cell in colour."""
+    nodes, values = unit.size * result.mesh.nodes, result.cell_data[schema.RESIDUAL_RMS]
+    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), "Correlation residual by cell", unit)
+    cells = canvas.draw_cell_colours(axes, result.mesh, nodes, values, canvas.choose_limits(values, limits),
+                                     RESIDUAL_PALETTE)
+    canvas.add_colour_bar(figure, axes, cells, "RMS of $f(x) - g(x + u)$ [grey levels]")
     return figure

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
+from scipy.sparse import csr_array
 
 from ddic.arrays import Array, IntArray
 from ddic.io.result_reader import Result
@@ -63,17 +64,12 @@ def choose_colours(mesh: Mesh, subdomain_ids: IntArray) -> IntArray:
     """
     n = int(subdomain_ids.max()) + 1
     of_corners = np.repeat(subdomain_ids, np.diff(mesh.offsets))
-    at_node: dict[int, set[int]] = {}
-    for node, subdomain in np.unique(np.column_stack([mesh.connectivity, of_corners]), axis=0).tolist():
-        at_node.setdefault(node, set()).add(subdomain)
-    neighbours: list[set[int]] = [set() for _ in range(n)]
-    for shared in at_node.values():
-        for subdomain in shared:
-            neighbours[subdomain] |= shared - {subdomain}
+    has_node = csr_array((np.ones(len(of_corners)), (of_corners, mesh.connectivity)), shape=(n, mesh.n_nodes))
+    touching = (has_node @ has_node.T).tocsr()
     chosen = np.full(n, -1, dtype=np.int64)
     used = np.zeros(len(PALETTE), dtype=np.int64)
     for subdomain in range(n):
-        beside = {int(chosen[other]) for other in neighbours[subdomain]}
+        beside = set(chosen[touching[[subdomain]].indices].tolist())
         free = [colour for colour in range(len(PALETTE)) if colour not in beside] or list(range(len(PALETTE)))
         # The least used of those that are free, so that all are.
         chosen[subdomain] = min(free, key=lambda colour: int(used[colour]))

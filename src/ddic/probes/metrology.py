@@ -22,8 +22,7 @@ from ddic.io.result_reader import Result
 from ddic.mesh.cell_type import T3
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.quality import measure_covered_areas
-from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge
-from ddic.probes.read_probe import list_samples
+from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge, list_samples
 
 ORDERS = {"equilibrium_gap": 4, "tikhonov": 2}
 """Power of wavelength with which a regularization fades: fourth of the equilibrium gap, second of Tikhonov's term."""
@@ -132,7 +131,7 @@ def find_chain(result: Result, cells: IntArray) -> DisplacementChain:
     Those are the cells about which is asked, all where ``cells`` is empty.
     """
     case = result.attributes.get(schema.CASE, {})
-    section = schema.parse_case(result.attributes).get("regularization") or {}
+    section = schema.get_case(result.attributes).get("regularization") or {}
     # A weight given as eta says nothing of wavelengths.
     unknown = math.nan if section else 0.0
     return DisplacementChain(_find_spacing(result, cells), float(case.get("half_amplitude_shear_px", unknown)),
@@ -152,7 +151,7 @@ def _find_spacing(result: Result, cells: IntArray) -> float:
 
 def _find_cell(waves: Array) -> float:
     """Area of the plane of wave vectors that each of a regular grid stands for."""
-    step = abs(float(waves[1, 1] - waves[0, 1])) if len(waves) > 1 else 1.0
+    step = float(waves[1, 1] - waves[0, 1])
     return step * step
 
 
@@ -332,32 +331,28 @@ def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> floa
 
     Of a wave along the probe, or along x, pixels.
     """
-    def keep(k: float) -> float:
-        waves = k * _find_axis(probe)[None]
-        return float(evaluate_displacement_response(probe, chain, waves)[0]) * _keep_by_chain(chain, k)
-
-    return _find_wavelength(keep, probe, chain)
+    return _find_wavelength(probe, chain, lambda waves, _: evaluate_displacement_response(probe, chain, waves))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_strain_resolution(probe: Probe, chain: DisplacementChain) -> float:
     """Find the wavelength, along the probe or along x, of which 90 % are left in a probe's strain, pixels."""
-    def keep(k: float) -> float:
-        waves = k * _find_axis(probe)[None]
-        return float(evaluate_strain_response(probe, chain, waves)[0]) / k * _keep_by_chain(chain, k)
-
-    return _find_wavelength(keep, probe, chain)
+    return _find_wavelength(probe, chain, lambda waves, k: evaluate_strain_response(probe, chain, waves) / k)
 
 
-def _keep_by_chain(chain: DisplacementChain, k: float) -> float:
-    """What elements and regularization leave of a wave along its direction, of which they leave least."""
-    wave_number = np.array(k)
+def _find_wavelength(probe: Probe, chain: DisplacementChain, respond: Callable[[Array, float], Array]) -> float:
+    """The longest wave along the probe of which no more than KEPT is left, pixels.
+
+    ``respond`` tells what the probe leaves of waves, of their number too. Elements and regularization leave least of a
+    wave along its direction.
+    """
     half = max(chain.longitudinal, chain.shear)
-    return float(chain.keep_by_elements(wave_number) * chain.keep_by_regularization(wave_number, half))
 
+    def keep(k: float) -> float:
+        wave_number = np.array(k)
+        by_chain = float(chain.keep_by_elements(wave_number) * chain.keep_by_regularization(wave_number, half))
+        return float(respond(k * _find_axis(probe)[None], k)[0]) * by_chain
 
-def _find_wavelength(keep: Callable[[float], float], probe: Probe, chain: DisplacementChain) -> float:
-    """The longest wave of which no more than KEPT is left, pixels."""
     lowest = 2.0 * np.pi / (LONGEST_WAVE * max(_find_size(probe), chain.longest))
     # Waves shorter than two elements are not seen at all; 0.49 of those are left.
     tried = np.geomspace(lowest, np.pi / chain.spacing, 400)

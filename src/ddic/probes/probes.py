@@ -1,20 +1,26 @@
-"""What a field is read with: points, lines, extensometers and strain gauges.
+"""What a field is read with, points, lines, extensometers and strain gauges, and what they read on it.
 
-Probes as they are written: in a TOML file, or as numbers between commas.
+Probes are written in a TOML file, or as numbers between commas.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from ddic.arrays import Array
+from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
+from ddic.fracture.opening import get_lines
+from ddic.io import result_schema as schema
 from ddic.io.input_file import as_path
+from ddic.io.result_reader import Result
 from ddic.io.text_files import parse_toml, read_text
+from ddic.kinematics.strain import compute_green_lagrange, compute_hencky, compute_infinitesimal
+from ddic.mesh.interpolation import interpolate_located, locate
 
 Place = tuple[float, float]
 
@@ -218,13 +224,11 @@ def parse_probe(kind: str, name: str, text: str) -> Probe:
         numbers = []
     if not fewest <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
         raise InputError(f"--{kind} {text}: {form} expected, numbers in pixels")
-    first, rest = (numbers[0], numbers[1]), numbers[2:]
-    if kind == "point":
-        return PointProbe(name, first)
     if kind == "gauge":
-        return StrainGauge(name, first, **dict(zip(("length", "angle", "width"), rest, strict=False)))
-    second = (rest[0], rest[1])
-    return Extensometer(name, first, second) if kind == "extensometer" else LineProbe(name, first, second, *rest[2:])
+        extent = dict(zip(("length", "angle", "width"), numbers[2:], strict=False))
+        return StrainGauge(name, (numbers[0], numbers[1]), **extent)
+    given: list[Any] = [*zip(numbers[0:4:2], numbers[1:4:2], strict=True), *numbers[4:]]
+    return CLASSES[kind](name, *given)
 
 
 def _check_kind(kind: str, named: Any) -> Mapping[str, Any]:
@@ -261,3 +265,178 @@ def _convert(where: str, key: str, value: Any) -> Any:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
+
+MOST_SAMPLES = 64
+"""Places along each side of a strain gauge at which its plane is fitted; there is one a pixel of small ones. More
+change the plane by less than a thousandth, and take longer."""
+
+FEWEST_SAMPLES = 4
+"""The least number of them, for gauges of a few pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a probe reads on one result, at one place or, of a line, at many.
+
+    Attributes
+    ----------
+    probe : Probe
+        What read it.
+    points : (n, 2) array
+        Places, pixels of the reference image: the middle of an extensometer or a gauge.
+    distance : (n,) array
+        Of the places from the start of a line, pixels; 0 of other probes.
+    displacement : (n, 2) array
+        Pixels; the mean over a strain gauge, nan of an extensometer.
+    strain : (n, 3) array
+        xx, yy, xy of the tensor that was asked for; nan of an extensometer.
+    along : (n,) array
+        Engineering strain along the probe, which no rotation changes; nan of a point, which has no direction.
+    note : str
+        Why values are missing (nan), or what is doubtful about them; empty where nothing is.
+    """
+
+    probe: Probe
+    points: Array
+    distance: Array
+    displacement: Array
+    strain: Array
+    along: Array
+    note: str = ""
+
+
+def measure_probe(result: Result, probe: Probe, measure: Measure = "infinitesimal") -> Reading:
+    """Read a probe on a measured field.
+
+    Parameters
+    ----------
+    result : Result
+        The field.
+    probe : Probe
+        Where and how.
+    measure : {"infinitesimal", "green-lagrange", "hencky"}, optional
+        Tensor of the strain.
+
+    Returns
+    -------
+    Reading
+        nan where a probe leaves the mesh or meets nodes that were not measured, with the reason as its note.
+    """
+    if isinstance(probe, Extensometer):
+        return _read_extensometer(result, probe)
+    if isinstance(probe, StrainGauge):
+        return _read_gauge(result, probe, measure)
+    return _read_places(result, probe, measure)
+
+
+def list_samples(probe: Probe) -> Array:
+    """List the places at which a probe asks for the displacement, (n, 2), pixels of the reference image."""
+    if isinstance(probe, PointProbe):
+        return np.array([probe.point])
+    if isinstance(probe, StrainGauge):
+        sides = []
+        for side in (probe.length, probe.across):
+            # The middles of equal parts, from the gauge's centre.
+            n = int(np.clip(math.ceil(side), FEWEST_SAMPLES, MOST_SAMPLES))
+            sides.append(side * ((np.arange(n) + 0.5) / n - 0.5))
+        local = np.column_stack([grid.ravel() for grid in np.meshgrid(*sides, indexing="ij")])
+        across = np.array([-probe.direction[1], probe.direction[0]])
+        return np.asarray(probe.centre + local[:, :1] * probe.direction + local[:, 1:] * across)
+    n_places = 2 if isinstance(probe, Extensometer) else math.ceil(probe.length / probe.spacing - 1e-9) + 1
+    share = np.linspace(0.0, 1.0, n_places)[:, None]
+    return np.asarray((1.0 - share) * probe.start + share * np.asarray(probe.end))
+
+
+def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure) -> Reading:
+    """Displacement of the cells, strain as it was recovered at their nodes, interpolated."""
+    points = list_samples(probe)
+    located = locate(result.mesh, points)
+
+    def interpolate_strain(name: str) -> Array:
+        if name not in result.point_data:
+            return np.full((len(points), 3), np.nan)
+        return interpolate_located(result.mesh, schema.pick_in_the_plane(result.point_data[name]), located)
+
+    displacement = result.at(points)
+    along = np.full(len(points), np.nan)
+    distance = np.zeros(len(points))
+    if isinstance(probe, LineProbe):
+        distance = np.linspace(0.0, probe.length, len(points))
+        # The stretch of a fibre from Green and Lagrange's strain, exactly.
+        along = _stretch_fibre(interpolate_strain(schema.NODAL_GREEN_LAGRANGE), probe.direction)
+    at_nodes = schema.NODAL_STRAINS[measure]
+    lacks_strain = at_nodes not in result.point_data
+    note = _describe_places(result, located.cells, displacement,
+                            "the result has no strain at nodes: written before schema 1.6" if lacks_strain else "")
+    return Reading(probe, points, distance, displacement, interpolate_strain(at_nodes), along, note)
+
+
+def _stretch_fibre(green_lagrange: Array, direction: Array) -> Array:
+    """sqrt(1 + 2 e.E.e) - 1 of a fibre that lay along e; (n, 3) -> (n,)."""
+    x, y = direction
+    xx, yy, xy = green_lagrange.T
+    twice = 2.0 * (x * x * xx + y * y * yy + 2.0 * x * y * xy)
+    # The same as the root less 1, which would lose the digits of small strains.
+    return np.asarray(twice / (np.sqrt(1.0 + twice) + 1.0))
+
+
+def _read_extensometer(result: Result, probe: Extensometer) -> Reading:
+    """Both ends by the shape functions of their cells."""
+    ends = list_samples(probe)
+    u = result.at(ends)
+    rest, moved = ends[1] - ends[0], u[1] - u[0]
+    # L^2 - L0^2 is computed without the difference of two large numbers.
+    growth = float(moved @ (2.0 * rest + moved))
+    length = float(np.linalg.norm(rest + moved))
+    along = growth / (length + probe.length) / probe.length
+    note = _describe_places(result, locate(result.mesh, ends).cells, u)
+    nothing = np.full((1, 3), np.nan)
+    return Reading(probe, ends.mean(axis=0)[None], np.zeros(1), nothing[:, :2], nothing, np.array([along]), note)
+
+
+def _read_gauge(result: Result, probe: StrainGauge, measure: Measure) -> Reading:
+    """The plane that fits best, by least squares over the rectangle."""
+    points = list_samples(probe)
+    u = result.at(points)
+    away = points - np.asarray(probe.centre)
+    # The samples lie symmetrically about the centre: the mean and the slopes are found one by one.
+    gradient = np.linalg.solve(away.T @ away, away.T @ u).T[None]
+    green_lagrange = compute_green_lagrange(gradient)
+    along = _stretch_fibre(green_lagrange, probe.direction)
+    strain = compute_infinitesimal(gradient) if measure == "infinitesimal" else green_lagrange
+    if measure == "hencky" and np.isfinite(strain).all():
+        strain = compute_hencky(green_lagrange)
+    note = _describe_places(result, locate(result.mesh, points).cells, u, _describe_lines(result, probe))
+    return Reading(probe, np.array([probe.centre]), np.zeros(1), u.mean(axis=0)[None], strain, along, note)
+
+
+def _describe_places(result: Result, cells: IntArray, displacement: Array, more: str = "") -> str:
+    """Why displacements are nan at some places or doubtful, and what else there is to say; empty where nothing is."""
+    missing = np.isnan(displacement).any(axis=1)
+    outside = missing & (cells < 0)
+    doubtful = result.cell_data.get(schema.DOUBTFUL, np.zeros(result.mesh.n_cells))[cells[cells >= 0]]
+    counts = {
+        "outside the mesh or in a hole": outside.sum(),
+        "where nothing was measured": (missing & ~outside).sum(),
+        # Their residual is that of a wrong displacement.
+        "in doubtful cells": np.count_nonzero(doubtful),
+    }
+    notes = [f"{count} of {len(cells)} places {where}" for where, count in counts.items() if count]
+    return "; ".join([*notes, more] if more else notes)
+
+
+def _describe_lines(result: Result, gauge: StrainGauge) -> str:
+    """Whether a line across which the displacement jumps runs through a gauge: a plane fits no jump."""
+    along = gauge.direction
+    axes = np.array([along, [-along[1], along[0]]])
+    for vertices in get_lines(result):
+        for start, end in pairwise(vertices):
+            n_places = math.ceil(float(np.linalg.norm(end - start))) + 1
+            share = np.linspace(0.0, 1.0, n_places)[:, None]
+            local = (start + share * (end - start) - gauge.centre) @ axes.T
+            if (np.abs(local) < [0.5 * gauge.length, 0.5 * gauge.across]).all(axis=1).any():
+                return "a discontinuity runs through it: no strain; an extensometer measures across"
+    return ""

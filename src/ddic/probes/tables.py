@@ -20,8 +20,7 @@ from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
 from ddic.io.result_reader import Result
 from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
-from ddic.probes.probes import KINDS, LineProbe, PointProbe, Probe
-from ddic.probes.read_probe import Measure, Reading, measure_probe
+from ddic.probes.probes import KINDS, LineProbe, Measure, PointProbe, Probe, Reading, measure_probe
 
 COLUMNS = (
     ("time", ""), ("result", ""), ("probe", ""), ("kind", ""),
@@ -83,15 +82,13 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
     list of ProbeRecord
         All probes at the first time, then at the next one.
     """
-    records = [ProbeRecord(_find_time(result), result.path.name, measure_probe(result, probe, measure),
-                           estimate_metrology(result, probe, noise), find_length_unit(result))
-               for result in results for probe in probes]
+    records = []
+    for result in results:
+        # That of the deformed image, as the case gives it; nan where the file says none.
+        time = float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
+        records += [ProbeRecord(time, result.path.name, measure_probe(result, probe, measure),
+                                estimate_metrology(result, probe, noise), find_length_unit(result)) for probe in probes]
     return sorted(records, key=lambda record: record.time)
-
-
-def _find_time(result: Result) -> float:
-    """The time of a result's deformed image, as the case gives it; nan where the file says none."""
-    return float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
 
 
 def write_probe_table(path: Path | str, records: Sequence[ProbeRecord]) -> None:
@@ -190,7 +187,9 @@ def _list_columns(result: Result, what: str, places: Array,
                   data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Columns by their header: number, place, then all fields; numbers of nodes and cells are those of the file."""
     numbers = data[schema.GLOBAL_NODE_ID if what == "node" else schema.GLOBAL_CELL_ID]
-    units = _list_units(result)
+    length_unit = find_length_unit(result).name
+    specs = (*schema.point_fields(length_unit), *schema.nodal_strain_fields(), *schema.cell_fields())
+    units = {spec.name: spec.unit for spec in specs}
     columns: dict[str, NDArray[Any]] = {what: numbers, "x [px]": places[:, 0], "y [px]": places[:, 1]}
     for name, values in data.items():
         if name in (schema.GLOBAL_NODE_ID, schema.GLOBAL_CELL_ID):
@@ -203,13 +202,6 @@ def _list_columns(result: Result, what: str, places: Array,
         else:
             columns |= {f"{name}_{pair} [{unit}]": values[:, k] for pair, k in schema.IN_THE_PLANE.items()}
     return columns
-
-
-def _list_units(result: Result) -> dict[str, str]:
-    """Units by the names of the fields."""
-    length_unit = find_length_unit(result).name
-    specs = (*schema.point_fields(length_unit), *schema.nodal_strain_fields(), *schema.cell_fields())
-    return {spec.name: spec.unit for spec in specs}
 
 
 def _format_column(values: NDArray[Any]) -> list[str]:

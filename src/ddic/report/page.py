@@ -17,19 +17,19 @@ from ddic.io import result_schema as schema
 from ddic.io.input_file import as_path
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
+from ddic.plots import curves
 from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
-from ddic.plots.curves import draw_corrections, draw_iterations, draw_krylov
 from ddic.plots.maps import (
     Preview,
     StrainChoice,
     draw_deformed,
     draw_displacement,
+    draw_residual,
     draw_strain,
     pick_number,
     pick_tensors,
     read_preview,
 )
-from ddic.plots.residual import draw_grey_histogram, draw_residual, draw_residual_histogram
 from ddic.report.gathered import NOT_RECORDED, NOT_STATED, Gathered, gather_all
 from ddic.report.items import WorstPlace, find_field_metrology, find_worst_places, list_statements
 
@@ -139,12 +139,12 @@ def _draw_curves(gathered: Gathered) -> list[Drawn]:
     drawn: list[Drawn] = []
     if len(result.gauss_newton.get("iteration", ())):
         drawn.append(("iterations", "Corrections of Gauss-Newton, and the residual before each of them.",
-                      draw_iterations(result.gauss_newton, gathered.noise_floor)))
+                      curves.draw_iterations(result.gauss_newton, gathered.noise_floor)))
     if len(result.corrections.get("correction", ())):
-        drawn.append(("corrections", "Corrections of PGD-DIC.", draw_corrections(result.corrections)))
+        drawn.append(("corrections", "Corrections of PGD-DIC.", curves.draw_corrections(result.corrections)))
     if any(len(history) for history in result.krylov):
         drawn.append(("Krylov iterations", "Convergence of the interface problem in each iteration.",
-                      draw_krylov({"": result.krylov})))
+                      curves.draw_krylov({"": result.krylov})))
     return drawn
 
 
@@ -153,10 +153,10 @@ def _draw_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[D
     residual = gathered.result.residual_image
     if residual is not None:
         caption = "The residual beside a normal distribution: what stands above it in the tails is not noise."
-        drawn.append(("residual histogram", caption, draw_residual_histogram(residual)))
+        drawn.append(("residual histogram", caption, curves.draw_residual_histogram(residual)))
     if previews:
         pixels = {name: preview.pixels for name, preview in previews.items()}
-        drawn.append(("grey-level histogram", "Grey levels of the images.", draw_grey_histogram(pixels)))
+        drawn.append(("grey-level histogram", "Grey levels of the images.", curves.draw_grey_histogram(pixels)))
     return drawn
 
 

@@ -18,7 +18,7 @@ from ddic.functionals.correlation import Residual, RowBand
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
 from ddic.inputs.cameras import Camera
-from ddic.io.hdf5_stream import ChunkGrid, pack_chunk
+from ddic.io.hdf5_file import ChunkGrid, pack_chunk
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.distribution import stream_to_root
 from ddic.parallel.team import Team, require_held

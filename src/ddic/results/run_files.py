@@ -12,7 +12,7 @@ from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_
 from ddic.io.input_file import find_real_path
 from ddic.io.replace_on_exit import get_lock_path, held_output, note_unfinished, replaced_together
 from ddic.io.result_schema import earlier_path, not_converged_path, summary_path
-from ddic.io.sidecars import move_result, remove_result
+from ddic.io.result_writer import move_result, remove_result
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.publishable import Publishable

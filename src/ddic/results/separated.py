@@ -19,7 +19,7 @@ from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
 from ddic.inputs.rectangle import choose_output_lines
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_stream import ChunkGrid
+from ddic.io.hdf5_file import ChunkGrid
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_strain

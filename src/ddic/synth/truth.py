@@ -10,12 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
-from ddic.io.text_files import write_json
 from ddic.synth.fields import Affine, Bending, DisplacementField, Kirsch, Sinusoidal, Sum, Translation
 from ddic.synth.near_far_scene import NearFarScene, SetUpMotion
 from ddic.synth.render import Picture, Scene
@@ -26,14 +23,6 @@ _FIELDS: dict[str, type[Any]] = {
     "translation": Translation, "affine": Affine, "sinusoidal": Sinusoidal, "kirsch": Kirsch,
     "bending": Bending, "sum": Sum}
 _NAMES = {kind: name for name, kind in _FIELDS.items()}
-
-
-def save_truth(path: Path, scene: Scene, picture: Picture) -> None:
-    """Write field, texture, hole and camera of a generated pair as JSON.
-
-    Raises InputError if the field is not one of this package's, or the folder cannot be written to.
-    """
-    write_json(path, describe_pair(scene, picture))
 
 
 def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
@@ -144,31 +133,12 @@ class NearFarTruth:
         """Evaluate the gradient du_i/dX_j, (n, 2, 2), no unit, at points X, pixels of the specimen's frame."""
         return self.field.gradient(points)
 
-    def near_displacement(self, points: Array) -> Array:
-        """Evaluate phi(T(X + u(X))) - phi(X), near pixels, at points X, (n, 2), pixels of the specimen's frame."""
-        moved = self.motion.move(points + self.field.displacement(points))
-        return np.asarray(self.mapping.to_image(moved) - self.mapping.to_image(points))
-
-    def is_in_near_field(self, points: Array) -> BoolArray:
-        """Find which points X, (n, 2), pixels of the specimen's frame, the near reference image shows, (n,)."""
-        seen = self.mapping.to_image(points)
-        largest = np.array(self.near_size) - 1
-        return np.asarray(((seen >= 0) & (seen <= largest)).all(axis=1))
-
-
-def save_near_far_truth(path: Path, scene: NearFarScene) -> None:
-    """Write a truth file.
-
-    Raises InputError if the field is not one of this package's, or the folder cannot be written to.
-    """
-    write_json(path, describe_near_far(scene))
-
 
 def describe_near_far(scene: NearFarScene) -> dict[str, Any]:
     """Describe fields, textures, holes, cameras and the set-up's motion, as values that JSON holds.
 
-    The far pair is described as ``save_truth`` describes a pair, the near pair likewise under ``near``, where
-    ``mapping`` is phi and ``motion`` is T; the displacement of both is the one of the specimen's frame. Raises
+    The far pair is described as ``describe_pair`` does it, the near pair likewise under ``near``, where ``mapping`` is
+    phi and ``motion`` is T; the displacement of both is the one of the specimen's frame. Raises
     InputError if the field is not one of this package's.
     """
     camera = scene.near.camera

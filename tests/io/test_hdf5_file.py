@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ddic.images.window import Window
-from ddic.io.hdf5_stream import ChunkGrid, new_hdf5, pack_chunk
+from ddic.io.hdf5_file import ChunkGrid, new_hdf5, pack_chunk
 from ddic.io.result_schema import sidecar_path
 from ddic.io.result_writer import ResultWriter
 
