@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError
@@ -109,11 +109,11 @@ def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: In
     low, high = np.floor(at[is_inside].min(axis=0)), np.ceil(at[is_inside].max(axis=0)) + 1
     seen = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1])).grow(HALO).clip(extent.x1, extent.y1)
     g_values = deformed.image.read(seen).astype(np.float64)
-    g = ndimage.map_coordinates(g_values, (at - (seen.x0, seen.y0))[:, ::-1].T, order=3, mode="mirror")
+    g = scipy.ndimage.map_coordinates(g_values, (at - (seen.x0, seen.y0))[:, ::-1].T, order=3, mode="mirror")
     usable = deformed.find_usable(seen)
     if usable is not None:
         beside = np.rint(np.where(is_inside[:, None], at, at[is_inside][0])).astype(np.int64) - (seen.x0, seen.y0)
-        shown = ndimage.minimum_filter(usable, size=3)
+        shown = scipy.ndimage.minimum_filter(usable, size=3)
         is_inside = is_inside & (shown[beside[:, 1], beside[:, 0]] > 0)
     return f, np.where(is_inside, g, np.nan)
 

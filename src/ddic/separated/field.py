@@ -348,10 +348,8 @@ def orthonormalize(line: LineElements, functions: Array) -> tuple[Array, Array]:
 
 def _factorize_tridiagonal(diagonal: Array, beside: Array) -> Array:
     """Upper Cholesky factor, (2, n): first row above the diagonal, second row the diagonal."""
-    from scipy.linalg import cholesky_banded
-
     upper = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal])
-    return np.asarray(cholesky_banded(upper))
+    return np.asarray(linalg.cholesky_banded(upper))
 
 
 def _multiply_upper(factor: Array, columns: Array) -> Array:
@@ -361,9 +359,7 @@ def _multiply_upper(factor: Array, columns: Array) -> Array:
 
 
 def _solve_upper(factor: Array, columns: Array) -> Array:
-    from scipy.linalg import solve_banded
-
-    return np.asarray(solve_banded((0, 1), factor, columns))
+    return np.asarray(linalg.solve_banded((0, 1), factor, columns))
 
 
 def _count_kept(singular: Array, tolerance: float) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.sub_image import MaskedSource
@@ -112,8 +112,8 @@ def _sample(deformed: MaskedSource, places: Array) -> Array:
     """Grey levels of the deformed image at places, and their slopes there along x and y, a block: (3, n)."""
     values = deformed.read_whole()
     along_y, along_x = np.gradient(values)
-    grey = ndimage.map_coordinates(values, places, order=3, mode="nearest")
-    slopes = [ndimage.map_coordinates(slope, places, order=1, mode="nearest") for slope in (along_x, along_y)]
+    grey = scipy.ndimage.map_coordinates(values, places, order=3, mode="nearest")
+    slopes = [scipy.ndimage.map_coordinates(slope, places, order=1, mode="nearest") for slope in (along_x, along_y)]
     return np.stack([grey, *slopes])
 
 

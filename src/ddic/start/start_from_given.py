@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import StartSection
@@ -222,7 +222,7 @@ def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, IntArray]:
     origins = interpolate_located(drawn, before.nodes[nodes], located)[inside]
     reference = pair.reference.read_whole()
     places = origins[:, ::-1].T
-    grey.reshape(-1)[inside] = ndimage.map_coordinates(reference, places, order=1, mode="nearest")
+    grey.reshape(-1)[inside] = scipy.ndimage.map_coordinates(reference, places, order=1, mode="nearest")
     counted = np.ones(len(origins), dtype=bool)
     usable = pair.reference.find_usable(pair.reference.extent)
     if usable is not None:
