@@ -11,9 +11,9 @@ from ddic.images.rigid import GridField
 from ddic.images.window import Window
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.binned_pair import BinnedPair
+from ddic.start.binned_pair import BinnedPair, bin_surroundings, can_bin_finer
 from ddic.start.coarse_displacement import CutField, evaluate_at_nodes, move_field, move_mesh
-from ddic.start.multilevel import MultilevelStart, Pyramid, bin_surroundings, can_bin_finer, find_multilevel_start
+from ddic.start.multilevel import MultilevelStart, Pyramid, find_multilevel_start
 from ddic.synth.fields import Affine
 from support.pictures import pair_of, rms_error, source
 

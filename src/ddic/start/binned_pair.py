@@ -1,15 +1,21 @@
-"""An image pair in blocks of pixels, the sides of these blocks, and the square grid on which they are measured."""
+"""An image pair in blocks of pixels, the sides of these blocks, and the square grid on which they are measured.
+
+What surrounds a small region is looked at in smaller blocks than the whole images.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
+from ddic.images.binned import bin_image, bin_window, join_blocks
 from ddic.images.rigid import GridField, fill_absent
 from ddic.images.sub_image import MaskedSource
+from ddic.images.window import Window
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import Raster, rasterize
@@ -40,6 +46,10 @@ COARSEST = 64
 """Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
 further."""
 
+MARGIN = 0.5
+"""What is seen around the region, times its longer side: it may turn by any angle about its middle, and grow by two
+thirds beside what the translation takes. A larger value finds larger motions, in larger blocks."""
+
 
 @dataclass(frozen=True)
 class BinnedPair:
@@ -61,9 +71,9 @@ class BinnedPair:
     pixels: BinnedPair | None = None
 
     @property
-    def n_blocks(self) -> int:
-        """Blocks of an image."""
-        return self.reference.image.width * self.reference.image.height
+    def size(self) -> IntArray:
+        """Width and height of both images, blocks."""
+        return np.array([self.reference.image.width, self.reference.image.height])
 
     @property
     def centre(self) -> float:
@@ -195,3 +205,65 @@ def choose_rigid_block(n_pixels: int, mesh: Mesh) -> int:
         if not (is_too_large or is_more_than_enough):
             return size
         size *= 2
+
+
+def bin_at_sizes(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPair]:
+    """Bin both images at all block sizes (powers of 2), pixels, each from the one before."""
+    pairs: dict[int, BinnedPair] = {}
+    for size in sorted(set(sizes)):
+        ratio = size // pair.factor
+        pair = BinnedPair(bin_image(pair.reference, ratio), bin_image(pair.deformed, ratio), size)
+        pairs[size] = pair
+    return pairs
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Parts of both images, of the same size, that show a region and what is around it.
+
+    Attributes
+    ----------
+    pair : BinnedPair
+        The parts, positions counted from where each begins.
+    origin, translation : (2,) array
+        Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
+    """
+
+    pair: BinnedPair
+    origin: Array
+    translation: Array
+
+    def describe(self) -> str:
+        """Say for the log what is looked at."""
+        x, y = self.origin
+        width, height = self.pair.size * self.pair.factor
+        return (f"start: the region and what surrounds it, {width} x {height} px from ({x:.0f}, {y:.0f}) px on, in "
+                f"blocks of {self.pair.factor} px")
+
+
+def can_bin_finer(pixels: BinnedPair, mesh: Mesh) -> bool:
+    """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on whole images."""
+    of_part = _find_extent(pixels, mesh)
+    return find_finest_level(int(of_part.prod())) < find_finest_level(int(pixels.size.prod()))
+
+
+def bin_surroundings(pixels: BinnedPair, mesh: Mesh, translation: Array) -> Surroundings:
+    """Bin what surrounds a region, in blocks as small as those of an image of that size.
+
+    ``translation``, (2,), pixels, is about that of the region.
+    """
+    extent = _find_extent(pixels, mesh)
+    factor = choose_finest_block(int(extent.prod()))
+    extent -= extent % factor
+    middle = (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0)) / 2
+    origin, moved = (np.clip(np.rint(place - extent / 2).astype(int), 0, pixels.size - extent)
+                     for place in (middle, middle + translation))
+    parts = [join_blocks(source, [bin_window(source, factor, Window(*begin, *(begin + extent)))])
+             for source, begin in ((pixels.reference, origin), (pixels.deformed, moved))]
+    return Surroundings(BinnedPair(parts[0], parts[1], factor), origin.astype(float), (moved - origin).astype(float))
+
+
+def _find_extent(pixels: BinnedPair, mesh: Mesh) -> IntArray:
+    """Width and height of what is seen of an image, pixels."""
+    sides = np.ptp(mesh.nodes, axis=0)
+    return np.minimum(np.ceil(sides + 2 * MARGIN * sides.max()).astype(int), pixels.size)
