@@ -15,7 +15,6 @@ import scipy
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError
 from ddic.functionals.line_band import BAND
-from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import CutMesh
@@ -82,7 +81,7 @@ def compute_residuals(images: Images, pixels: IntArray, displacement: Array, own
     the pixels that the displacement belongs to, ``own``, (n,); all by default. Returns grey levels, (n,); nan where a
     pixel is left out of an image, or is displaced out of it.
     """
-    f, g = _evaluate_images(images.reference, images.deformed, pixels, displacement)
+    f, g = _evaluate_images(images, pixels, displacement)
     fitted = np.isfinite(f - g) & (True if own is None else own)
     if images.correction == "none" or fitted.sum() < FEWEST_FITTED:
         return f - g
@@ -90,13 +89,13 @@ def compute_residuals(images: Images, pixels: IntArray, displacement: Array, own
     return np.asarray(f - gain * g - offset)
 
 
-def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: IntArray,
-                     displacement: Array) -> tuple[Array, Array]:
+def _evaluate_images(images: Images, pixels: IntArray, displacement: Array) -> tuple[Array, Array]:
     """f(x) and g(x + u), nan where a pixel is left out."""
     if not len(pixels):
         return np.zeros(0), np.zeros(0)
+    reference, deformed = images.reference, images.deformed
     low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
-    window = Window(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    window = Window(*low.tolist(), *high.tolist())
     f = reference.image.read(window).astype(np.float64)[pixels[:, 1] - window.y0, pixels[:, 0] - window.x0]
     usable = reference.find_usable(window)
     if usable is not None:
