@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ddic.separated.band_sums import N_BANDS, SerialSums, build_tree, divide_rows, join_trees
+from ddic.separated.band_sums import N_BANDS, build_tree, divide_rows, join_trees
 from ddic.separated.field import LineElements
+from support.separated import SerialSums
 
 
 @pytest.mark.parametrize("n_bands", [16, 11, 1])

@@ -10,12 +10,12 @@ from ddic.images.spline import PADDING
 from ddic.images.sub_image import GROWTH, DeformedSubImage
 from ddic.images.window import Window
 from ddic.mesh.structured import build_structured_mesh
-from ddic.separated.field import SeparatedField, build_zero_field, scale_modes
+from ddic.separated.field import SeparatedField, scale_modes
 from ddic.separated.pixel_bands import FramePixels
 from ddic.synth.fields import Translation
 from support.cases import WAVES
 from support.pictures import pair_of, source
-from support.separated import frame_of, lines, random_field
+from support.separated import build_zero_field, frame_of, lines, random_field
 
 REGION = (20.0, 24.0, 164.0, 152.0)
 SHAPE = (128, 144)

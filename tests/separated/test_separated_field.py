@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.separated.field import build_zero_field, factorize_grid
-from support.separated import dense, lines, random_field
+from ddic.separated.field import factorize_grid
+from support.separated import build_zero_field, dense, lines, random_field
 
 ALONG_X, ALONG_Y = lines((3.0, 5.0, 43.0, 29.0), 4.0)
 POINTS = np.random.default_rng(0).uniform((3.0, 5.0), (43.0, 29.0), (50, 2))

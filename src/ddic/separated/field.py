@@ -290,12 +290,6 @@ class SeparatedField:
         return SeparatedField(self.along_x, self.along_y, amplitudes, x, y)
 
 
-def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedField:
-    """Build a field without modes, zero everywhere."""
-    return SeparatedField(along_x, along_y, np.zeros((0, 2)), np.zeros((0, 2, along_x.n_nodes)),
-                          np.zeros((0, 2, along_y.n_nodes)))
-
-
 def scale_modes(along_x: LineElements, along_y: LineElements, x: Array, y: Array) -> SeparatedField:
     """Give modes functions of mean square 1, and amplitudes.
 

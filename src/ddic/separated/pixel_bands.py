@@ -73,13 +73,16 @@ class ReferencePixels:
 
         ``component`` is a, ``of_columns`` (width,) are p and ``of_rows`` (height,) q.
         """
-        first = self.along_y.pixels.start
         found = []
         for band in self.bands:
             slope = (band.by_x, band.by_y)[component].astype(np.float64)
-            weights = of_rows[band.rows.start - first:band.rows.stop - first]
-            found.append(np.atleast_1d(weights @ (slope**2 @ of_columns)))
+            found.append(np.atleast_1d(of_rows[self.locate(band.rows)] @ (slope**2 @ of_columns)))
         return float(self.sums.add_up(found)[0])
+
+    def locate(self, rows: range) -> slice:
+        """Locate rows of the image among those of the rectangle."""
+        first = self.along_y.pixels.start
+        return slice(rows.start - first, rows.stop - first)
 
 
 def cut_bands(reference: GradientImage, along_x: LineElements, rows: Sequence[range]) -> list[ReferenceBand]:
@@ -152,12 +155,10 @@ class FramePixels:
         ``functions`` (2, height) are Y of both components in each row, the sums (5, width) those of f_x^2 Y1^2, f_x f_y
         Y1 Y2, f_y^2 Y2^2, r f_x Y1 and r f_y Y2.
         """
-        first = self.reference.along_y.pixels.start
         found = []
         for band in self.bands:
-            rows = band.reference.rows
             sums = np.zeros((kernels.N_SUMS, band.by_x.shape[1]))
-            of_band = np.ascontiguousarray(functions[:, rows.start - first:rows.stop - first])
+            of_band = np.ascontiguousarray(functions[:, self.reference.locate(band.reference.rows)])
             kernels.sum_over_rows(band.by_x, band.by_y, band.residual, of_band, sums)
             found.append(sums)
         return self.reference.sums.add_up(found)
@@ -192,10 +193,10 @@ class FramePixels:
 
     def _integrate_bands(self, functions: Array, *, along_y: bool) -> Iterator[Array]:
         """Integrals over the pixels of each owned band: all pairs, row by row, then the single ones, (m^2 + m, n)."""
-        n_modes, first = len(functions), self.reference.along_y.pixels.start
+        n_modes = len(functions)
         for band in self.bands:
             rows = band.reference.rows
-            given = functions if along_y else functions[..., rows.start - first:rows.stop - first]
+            given = functions if along_y else functions[..., self.reference.locate(rows)]
             slopes = (band.by_x.astype(np.float64), band.by_y.astype(np.float64))
             n = len(rows) if along_y else band.by_x.shape[1]
             m = 2 * n_modes
@@ -216,12 +217,11 @@ class FramePixels:
         ``edges_x`` and ``edges_y`` (n + 1,) are columns and rows where blocks begin, counted from the rectangle's first
         ones.
         """
-        first = self.reference.along_y.pixels.start
         found = []
         for band in self.bands:
             sums = np.zeros((2, len(edges_y) - 1, len(edges_x) - 1))
-            kernels.sum_blocks(band.by_x, band.by_y, band.residual, band.reference.rows.start - first, edges_y,
-                               edges_x, sums)
+            first = self.reference.locate(band.reference.rows).start
+            kernels.sum_blocks(band.by_x, band.by_y, band.residual, first, edges_y, edges_x, sums)
             found.append(sums)
         return self.reference.sums.add_up(found)
 
@@ -262,7 +262,7 @@ class FramePixels:
     def _fill_band(self, band: FrameBand, x: Array, y: Array, window: Window,
                    keep: Callable[[FrameBand, Grey], None] | None) -> Array:
         rows = band.reference.rows
-        of_rows = y[..., rows.start - self.reference.along_y.pixels.start:][..., :len(rows)]
+        of_rows = y[..., self.reference.locate(rows)]
         report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(window))
         if report[kernels.N_GREY] > 0:
             # Some pixels are displaced beyond the window that was guessed.
@@ -299,9 +299,8 @@ class FramePixels:
 
     def _guess_window(self, x: Array, y: Array) -> Window:
         """The window of g that a sample of the pixels of all owned bands is displaced to."""
-        first = self.reference.along_y.pixels.start
         rows = range(self.bands[0].reference.rows.start, self.bands[-1].reference.rows.stop)
-        own = y[..., rows.start - first:rows.stop - first]
+        own = y[..., self.reference.locate(rows)]
         i = np.linspace(0, x.shape[-1] - 1, SAMPLES).round().astype(int)
         j = np.linspace(0, len(rows) - 1, SAMPLES).round().astype(int)
         return self._bound(np.array(rows)[j], i, x[..., i], own[..., j])
