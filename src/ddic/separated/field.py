@@ -331,29 +331,13 @@ def orthonormalize(line: LineElements, functions: Array) -> tuple[Array, Array]:
 
     Returns Q (k, n_nodes), k the smaller one of m and n_nodes, and R (k, m), upper triangular: functions = R^T Q.
     """
-    # With the Cholesky factor L of the mass matrix, L^T f has the function's norm for its length.
-    n = line.n_nodes
-    diagonal, beside = line.mass[1] / line.length, line.mass[2] / line.length
-    factor = _factorize_tridiagonal(diagonal, beside)
-    scaled = _multiply_upper(factor, functions.T)
+    # With the Cholesky factor L of the mass matrix, L^T f has the function's norm for its length. L^T is kept as
+    # LAPACK has it: first row above the diagonal, second row the diagonal.
+    factor = linalg.cholesky_banded(line.mass[:2] / line.length)
+    scaled = factor[1][:, None] * functions.T
+    scaled[:-1] += factor[0, 1:, None] * functions.T[1:]
     q, r = np.linalg.qr(scaled)
-    return _solve_upper(factor, q).T.reshape(-1, n), r
-
-
-def _factorize_tridiagonal(diagonal: Array, beside: Array) -> Array:
-    """Upper Cholesky factor, (2, n): first row above the diagonal, second row the diagonal."""
-    upper = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal])
-    return np.asarray(linalg.cholesky_banded(upper))
-
-
-def _multiply_upper(factor: Array, columns: Array) -> Array:
-    product = factor[1][:, None] * columns
-    product[:-1] += factor[0, 1:, None] * columns[1:]
-    return np.asarray(product)
-
-
-def _solve_upper(factor: Array, columns: Array) -> Array:
-    return np.asarray(linalg.solve_banded((0, 1), factor, columns))
+    return linalg.solve_banded((0, 1), factor, q).T.reshape(-1, line.n_nodes), r
 
 
 def _count_kept(singular: Array, tolerance: float) -> int:

@@ -1,6 +1,6 @@
 """Pixels of a rectangle in bands of rows: integrals over them along either direction, and the residual."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -126,6 +126,12 @@ class FrameBand:
     residual: Grey
     absent: BoolArray | None = None
 
+    def draw_residual(self, gain: float, offset: float) -> Grey:
+        """Draw f - gain g(x + u) - offset; nan where a pixel does not count."""
+        image = self.residual - (gain - 1.0) * (self.reference.values - self.residual) - offset
+        image = image.astype(np.float32)
+        return image if self.absent is None else np.where(self.absent, np.float32(np.nan), image)
+
 
 @dataclass(eq=False)
 class FramePixels:
@@ -240,16 +246,13 @@ class FramePixels:
     def compute_residual_rows(self, displacement: SeparatedField, gain: float,
                               offset: float) -> list[tuple[range, Grey]]:
         """Compute rows and residual f - gain g(x + u) - offset of each owned band; nan where a pixel does not count."""
-        found = []
+        def compute() -> list[tuple[range, Grey]]:
+            self._fill(displacement)
+            return [(band.reference.rows, band.draw_residual(gain, offset)) for band in self.bands]
 
-        def keep(band: FrameBand, residual: Grey) -> None:
-            image = residual - (gain - 1.0) * (band.reference.values - residual) - offset
-            found.append((band.reference.rows, image.astype(np.float32)))
+        return self.reference.sums.together(compute)
 
-        self.reference.sums.together(lambda: self._fill(displacement, keep))
-        return found
-
-    def _fill(self, displacement: SeparatedField, keep: Callable[[FrameBand, Grey], None] | None = None) -> list[Array]:
+    def _fill(self, displacement: SeparatedField) -> list[Array]:
         """Fill the residual of all bands; returns their grey sums."""
         if not self.bands:
             return []
@@ -257,18 +260,15 @@ class FramePixels:
         y = self.reference.along_y.evaluate_at_pixels(displacement.y)
         window = self._guess_window(x, y)
         self.deformed.hold(window)
-        return [self._fill_band(band, x, y, window, keep) for band in self.bands]
+        return [self._fill_band(band, x, y, window) for band in self.bands]
 
-    def _fill_band(self, band: FrameBand, x: Array, y: Array, window: Window,
-                   keep: Callable[[FrameBand, Grey], None] | None) -> Array:
+    def _fill_band(self, band: FrameBand, x: Array, y: Array, window: Window) -> Array:
         rows = band.reference.rows
         of_rows = y[..., self.reference.locate(rows)]
         report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(window))
         if report[kernels.N_GREY] > 0:
             # Some pixels are displaced beyond the window that was guessed.
             report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(self._find_window(rows, x, of_rows)))
-        if keep is not None:
-            keep(band, band.residual)
         if int(report[0]) < band.residual.size:
             self._leave_out(band)
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,12 @@ from ddic.images.rigid import GridField
 from ddic.kinematics.enriched import Discontinuities, enrich
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
-from ddic.mesh.cell_parts import Lines
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import interpolate_located, locate, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.start.binned_pair import locate_block_centre
+from ddic.start.binned_pair import move_mesh
 from ddic.start.feature_matches import MatchedField
 
 
@@ -64,26 +63,6 @@ def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.u
     weights = weigh_corners(cut.mesh, cut.find_cells_at_phantoms(), degree, active)
     kinematics = enrich(cut, weights, discontinuities.openings)
     return LevelMesh(cut, kinematics, on_edge, interior)
-
-
-def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
-    """Give a mesh in blocks of ``factor`` pixels, perhaps cut, in pixels."""
-    return _map_mesh(mesh, factor, locate_block_centre(factor))
-
-
-def move_mesh(mesh: Mesh, vector: Array) -> Mesh:
-    """Give a mesh, perhaps cut, at another place: moved by ``vector``, (2,), pixels."""
-    return _map_mesh(mesh, 1, vector)
-
-
-def _map_mesh(mesh: Mesh, factor: int, origin: float | Array) -> Mesh:
-    """The same cells, all points times a factor and then moved."""
-    parts = mesh.parts
-    if parts is not None:
-        lines = Lines(tuple(line * factor + origin for line in parts.lines.polylines),
-                      tuple(bend * factor + origin for bend in parts.lines.bends))
-        parts = replace(parts, corners=parts.corners * factor + origin, lines=lines)
-    return replace(mesh, nodes=mesh.nodes * factor + origin, parts=parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
-from ddic.mesh.raster import rasterize
-from ddic.start.binned_pair import BinnedPair, find_active_blocks, scale_mesh
+from ddic.start.binned_pair import BinnedPair
 
 N_FEATURES = 3000
 """Features of the region; as many a block in the whole deformed image. More take longer as their square."""
@@ -80,7 +79,7 @@ def match_features(pair: BinnedPair, mesh: Mesh, piece_of_cell: IntArray) -> Fea
     ``piece_of_cell``, (n_cells,), says which piece of the region, perhaps cut by lines, each cell is of: displacements
     of one piece say nothing of those of another.
     """
-    active = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor)))
+    active = pair.find_active(pair.scale(mesh))
     extent = pair.deformed.extent
     usable = pair.deformed.find_usable(extent)
     n_deformed = int(min(N_FEATURES * extent.height * extent.width / max(active.sum(), 1), MOST_FEATURES))

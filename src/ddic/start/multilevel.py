@@ -20,30 +20,9 @@ from ddic.images.rigid import GridField, RigidShift, build_uniform_field
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import rasterize
 from ddic.solvers.correction_size import Tolerances
-from ddic.start.binned_pair import (
-    CELL,
-    BinnedPair,
-    bin_at_sizes,
-    bin_surroundings,
-    build_grid,
-    can_bin_finer,
-    choose_block_sizes,
-    choose_rigid_block,
-    find_active_blocks,
-    scale_mesh,
-)
-from ddic.start.coarse_displacement import (
-    CoarseField,
-    CutField,
-    KeptResult,
-    cut_level,
-    evaluate_at_nodes,
-    move_field,
-    move_mesh,
-    scale_to_pixels,
-)
+from ddic.start.binned_pair import CELL, BinnedPair, build_grid, choose_block_sizes, choose_rigid_block, move_mesh
+from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, cut_level, evaluate_at_nodes, move_field
 from ddic.start.feature_matches import MatchedField, find_pieces, match_features
 from ddic.start.independent import Images, correlate_alone
 from ddic.start.predicted_error import PredictedError, predict_error
@@ -68,19 +47,19 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField],
     ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError where the blocks do not determine the
     displacement.
     """
-    region = scale_mesh(mesh, pair.factor)
-    active = find_active_blocks(pair.reference, rasterize(region))
+    region = pair.scale(mesh)
+    active = pair.find_active(region)
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = build_grid(region, active)
     cells = cut_level(grid.mesh, discontinuities.scale(pair.centre, pair.factor), active, DEGREE)
-    in_pixels = scale_to_pixels(cells.mesh, pair.factor)
+    in_pixels = pair.scale_to_pixels(cells.mesh)
     candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
     images = Images(pair.reference, pair.deformed, active, DEGREE, correction)
     where = f"pyramid level with blocks of {pair.factor} px"
     displacement = correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where)
     if cells.mesh.parts is None:
-        return grid.make_field(displacement, pair.factor)
+        return grid.make_field(displacement, pair)
     return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
 
 
@@ -231,7 +210,7 @@ class Pyramid:
     @cached_property
     def pairs(self) -> dict[int, BinnedPair]:
         """Both images at all block sizes."""
-        return bin_at_sizes(self.pair, [*self.sizes, self.rigid_size])
+        return self.pair.bin_at_sizes([*self.sizes, self.rigid_size])
 
     @property
     def _n_pixels(self) -> int:
@@ -318,14 +297,14 @@ def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelS
 def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:
     """The same in smaller blocks of what surrounds a small region; None where they are no smaller or show nothing."""
     pixels = pyramid.pair.pixels
-    if pixels is None or not can_bin_finer(pixels, pyramid.mesh):
+    if pixels is None or not pixels.can_bin_finer(pyramid.mesh):
         return None
     translation = np.zeros(2)
     if rigid_start.translations:
         translation = np.array(rigid_start.translations[0].shift)
     elif pyramid.matched is not None:
         translation = pyramid.matched.matches.displacement.mean(axis=0)
-    seen = bin_surroundings(pixels, pyramid.mesh, translation)
+    seen = pixels.bin_surroundings(pyramid.mesh, translation)
     lines = replace(pyramid.lines, discontinuities=pyramid.lines.discontinuities.scale(seen.origin, 1.0))
     mesh = move_mesh(pyramid.mesh, -seen.origin)
     try:

@@ -16,9 +16,8 @@ from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
-from ddic.mesh.raster import rasterize
-from ddic.start.binned_pair import CELL, BinnedPair, find_active_blocks, scale_mesh
-from ddic.start.coarse_displacement import CutField, scale_to_pixels
+from ddic.start.binned_pair import CELL, BinnedPair
+from ddic.start.coarse_displacement import CutField
 from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
 
 LEAST_COEFFICIENT = 0.3
@@ -71,7 +70,7 @@ def find_rigid_start(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuit
     It is at rest, with a warning, where nothing stands out. Raises ConvergenceError where the texture repeats itself,
     so that nobody knows which translation is right.
     """
-    region = scale_mesh(mesh, pair.factor)
+    region = pair.scale(mesh)
     shift = _find_shift_of_part(pair, region, FEWEST_BLOCKS)
     if _stands_out(shift) and shift.n_alike >= REPETITIVE:
         x, y = shift.shift
@@ -104,13 +103,12 @@ def _find_piece_shifts(pair: BinnedPair, region: Mesh, discontinuities: Disconti
         if _stands_out(shift):
             displacement[nodes] = shift.shift
             found.append(shift)
-    return tuple(found), CutField(scale_to_pixels(blocks, pair.factor), displacement)
+    return tuple(found), CutField(pair.scale_to_pixels(blocks), displacement)
 
 
 def _find_shift_of_part(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShift:
     """Translation of a part, which is in blocks; pixels."""
-    blocks = find_active_blocks(pair.reference, rasterize(part)).astype(bool)
-    return _find_shift(pair.reference.read_whole(), pair, blocks, fewest)
+    return _find_shift(pair.reference.read_whole(), pair, pair.find_active(part).astype(bool), fewest)
 
 
 def _find_shift(grey: Array, pair: BinnedPair, blocks: BoolArray, fewest: float) -> RigidShift:
@@ -165,7 +163,7 @@ def move_on(given: CutField, pair: BinnedPair) -> list[MovedOn]:
 
 def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, IntArray]:
     """The reference image as the given displacement puts it into the deformed one, and the piece of each block."""
-    before = scale_mesh(given.mesh, pair.factor)
+    before = pair.scale(given.mesh)
     after = Mesh(before.nodes + given.displacement / pair.factor, before.connectivity, before.offsets, before.types)
     # Torn and folded cells would cover everything.
     kept = np.flatnonzero(_find_drawn(before, after))
