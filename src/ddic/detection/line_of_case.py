@@ -11,22 +11,10 @@ import numpy as np
 
 from ddic.arrays import Array
 from ddic.case.schema import Case, DiscontinuitySection
-from ddic.detection.refine_line import (
-    CUT_OFF,
-    REACH,
-    SEARCHED,
-    TOLERANCES,
-    RefinedLine,
-    UncertainLine,
-    compute_residuals,
-    find_move,
-    find_strip,
-    refine_line,
-)
+from ddic.detection.refine_line import SEARCHED, Squares, UncertainLine, compare_residuals, find_move, refine_line
 from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.fracture.crack_tip import find_kolosov_constant
-from ddic.functionals.line_band import list_pixels_outside
 from ddic.functionals.regularization import Material
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
@@ -34,14 +22,13 @@ from ddic.kinematics.enriched import Discontinuities
 from ddic.kinematics.strain import compute_strain
 from ddic.kinematics.tip_functions import Tip, find_tips
 from ddic.mesh.cut_mesh import CutMesh
-from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree, measure_distance
 from ddic.mesh.quality import measure_cell_size
 from ddic.problem.cut_region import cut_by_lines, list_discontinuities, list_tip_functions
-from ddic.start.coarse_displacement import CutField, cut_level
+from ddic.start.coarse_displacement import CutField
 from ddic.start.given_start import extrapolate
-from ddic.start.independent import Images, correlate_alone
+from ddic.start.independent import Images
 
 UNMEASURABLE = (ConvergenceError, SingularSubdomainError, FactorizationError)
 """What is raised where images do not tell a line, or the displacement along it."""
@@ -181,7 +168,7 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> tupl
     try:
         refined = refine_line(images, mesh, CutField(mesh, displacement), UncertainLine(among, 0, UNCERTAIN * size),
                               STILL)
-        before, after = _compare_residuals(images, mesh, displacement, refined)
+        before, after = compare_residuals(images, mesh, displacement, refined)
     except UNMEASURABLE as error:
         return None, (f"detection: no line; where strain stands out (score {band.score:.1f}) no line could be "
                       f"measured: {error}")
@@ -195,20 +182,7 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> tupl
                   f"moved {refined.n_moves} times); {told}")
 
 
-@dataclass(frozen=True)
-class _Squares:
-    """Sum of squared residuals of some pixels, and how many unknowns explain them."""
-
-    total: float
-    n_pixels: int
-    n_unknowns: int
-
-    @property
-    def rms(self) -> float:
-        return float(np.sqrt(self.total / max(self.n_pixels, 1)))
-
-
-def _speaks_for_line(before: _Squares, after: _Squares) -> bool:
+def _speaks_for_line(before: Squares, after: Squares) -> bool:
     """Whether residuals fall by far more than by chance: noise lets each unknown explain its variance once."""
     n_more = after.n_unknowns - before.n_unknowns
     if n_more <= 0 or after.n_pixels <= n_more:
@@ -216,29 +190,6 @@ def _speaks_for_line(before: _Squares, after: _Squares) -> bool:
     variance = after.total / max(after.n_pixels - n_more, 1)
     by_chance = (n_more + OUTLIERS * np.sqrt(2 * n_more)) * variance
     return bool(before.total - after.total > TIMES_CHANCE * by_chance)
-
-
-def _compare_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine
-                       ) -> tuple[_Squares, _Squares]:
-    """Residuals in the cut cells, of a continuous field measured on the same strip alike, and with the line."""
-    size = measure_cell_size(mesh)
-    strip, nodes = mesh.create_submesh(find_strip(mesh, refined.line, REACH * size))
-    whole = cut_level(strip, Discontinuities(), images.active, images.degree)
-    continuous = correlate_alone(images, whole, CUT_OFF * size, TOLERANCES, [displacement[nodes].ravel()],
-                                 "the strip along a line")
-    cut = refined.cells.cut
-    if cut.mesh.parts is None:
-        raise ValueError("no line cuts the mesh")
-    pixels, parts = list_pixels_outside(cut.mesh, cut.mesh.parts.cells, images.degree)
-    found = []
-    for cells, numbers, u in ((whole, cut.cell_of[parts], continuous), (refined.cells, parts, refined.displacement)):
-        placed = place_in_cells(cells.mesh, numbers, pixels.astype(np.float64))
-        there = interpolate_located(cells.mesh, u.reshape(cells.mesh.nodes.shape), placed)
-        found.append(compute_residuals(images, pixels, there))
-    counted = np.isfinite(found[0]) & np.isfinite(found[1])
-    before, after = (_Squares(float((residuals[counted] ** 2).sum()), int(counted.sum()), cells.kinematics.n_unknowns)
-                     for residuals, cells in zip(found, (whole, refined.cells), strict=True))
-    return before, after
 
 
 def _clip_to_region(mesh: Mesh, line: Array) -> Array:

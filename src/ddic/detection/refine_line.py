@@ -14,7 +14,7 @@ import scipy
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError
-from ddic.functionals.line_band import BAND
+from ddic.functionals.line_band import BAND, list_pixels_outside
 from ddic.images.window import Window
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import CutMesh
@@ -255,6 +255,45 @@ def refine_line(images: Images, mesh: Mesh, start: CutField, line: UncertainLine
             return RefinedLine(line.vertices, cells, u, n_moves, move.line)
         line = line.move_to(move.line)
     raise ConvergenceError(f"the line was still moving after {MOST_MOVES} rounds")
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Sum of squared residuals of some pixels, grey levels squared, and how many unknowns explain them."""
+
+    total: float
+    n_pixels: int
+    n_unknowns: int
+
+    @property
+    def rms(self) -> float:
+        """Root mean square, grey levels."""
+        return float(np.sqrt(self.total / max(self.n_pixels, 1)))
+
+
+def compare_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine) -> tuple[Squares, Squares]:
+    """Compare residuals in the cells that a line cuts: of a continuous field on the same strip, and with the line.
+
+    The first is measured alike, from ``displacement``, (n_nodes, 2), pixels. Raises what ``refine_line`` does.
+    """
+    size = measure_cell_size(mesh)
+    strip, nodes = mesh.create_submesh(find_strip(mesh, refined.line, REACH * size))
+    whole = cut_level(strip, Discontinuities(), images.active, images.degree)
+    continuous = correlate_alone(images, whole, CUT_OFF * size, TOLERANCES, [displacement[nodes].ravel()],
+                                 "the strip along a line")
+    cut = refined.cells.cut
+    if cut.mesh.parts is None:
+        raise ValueError("no line cuts the mesh")
+    pixels, parts = list_pixels_outside(cut.mesh, cut.mesh.parts.cells, images.degree)
+    found = []
+    for cells, numbers, u in ((whole, cut.cell_of[parts], continuous), (refined.cells, parts, refined.displacement)):
+        placed = place_in_cells(cells.mesh, numbers, pixels.astype(np.float64))
+        there = interpolate_located(cells.mesh, u.reshape(cells.mesh.nodes.shape), placed)
+        found.append(compute_residuals(images, pixels, there))
+    counted = np.isfinite(found[0]) & np.isfinite(found[1])
+    before, after = (Squares(float((residuals[counted] ** 2).sum()), int(counted.sum()), cells.kinematics.n_unknowns)
+                     for residuals, cells in zip(found, (whole, refined.cells), strict=True))
+    return before, after
 
 
 def find_strip(mesh: Mesh, line: Array, reach: float) -> IntArray:

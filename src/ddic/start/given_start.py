@@ -193,18 +193,14 @@ def _place_result(given: EarlierResult, mesh: Mesh, camera: Camera) -> PlacedSta
 
 def _note_extrapolated(given: EarlierResult, unknown: Array) -> tuple[str, ...]:
     """Say of nodes, by points on their own sides, why nothing is known of them."""
-    is_outside = given.find_outside(unknown)
-    n_outside, n_unmeasured = int(is_outside.sum()), int((~is_outside).sum())
-    notes = []
-    if n_outside:
-        count = "1 node lies" if n_outside == 1 else f"{n_outside} nodes lie"
+    is_outside, name, places = given.find_outside(unknown), given.name, []
+    if is_outside.any():
         farthest = _measure_distances(given.result.mesh, unknown[is_outside]).max()
-        notes.append(f"start: {count} outside the mesh of {given.name}, by {farthest:.1f} px at most; displacement "
-                     "extrapolated by equilibrium")
-    if n_unmeasured:
-        count = "1 node lies" if n_unmeasured == 1 else f"{n_unmeasured} nodes lie"
-        notes.append(f"start: {count} where {given.name} measured nothing; displacement extrapolated by equilibrium")
-    return tuple(notes)
+        places.append((int(is_outside.sum()), f"outside the mesh of {name}, by {farthest:.1f} px at most"))
+    if not is_outside.all():
+        places.append((int((~is_outside).sum()), f"where {name} measured nothing"))
+    counts = [("1 node lies" if n == 1 else f"{n} nodes lie", place) for n, place in places]
+    return tuple(f"start: {count} {place}; displacement extrapolated by equilibrium" for count, place in counts)
 
 
 def _note_pieces(n_pieces: int, what: str) -> tuple[str, ...]:
