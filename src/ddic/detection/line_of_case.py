@@ -11,7 +11,7 @@ import numpy as np
 
 from ddic.arrays import Array
 from ddic.case.schema import Case, DiscontinuitySection
-from ddic.detection.refine_line import SEARCHED, Squares, UncertainLine, compare_residuals, find_move, refine_line
+from ddic.detection.refine_line import SEARCHED, Squares, UncertainLine, measure_residuals, find_move, refine_line
 from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.fracture.crack_tip import find_kolosov_constant
@@ -168,7 +168,7 @@ def find_line_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> tupl
     try:
         refined = refine_line(images, mesh, CutField(mesh, displacement), UncertainLine(among, 0, UNCERTAIN * size),
                               STILL)
-        before, after = compare_residuals(images, mesh, displacement, refined)
+        before, after = measure_residuals(images, mesh, displacement, refined)
     except UNMEASURABLE as error:
         return None, (f"detection: no line; where strain stands out (score {band.score:.1f}) no line could be "
                       f"measured: {error}")

@@ -271,8 +271,8 @@ class Squares:
         return float(np.sqrt(self.total / max(self.n_pixels, 1)))
 
 
-def compare_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine) -> tuple[Squares, Squares]:
-    """Compare residuals in the cells that a line cuts: of a continuous field on the same strip, and with the line.
+def measure_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine) -> tuple[Squares, Squares]:
+    """Measure residuals in the cells that a line cuts: of a continuous field on the same strip, and with the line.
 
     The first is measured alike, from ``displacement``, (n_nodes, 2), pixels. Raises what ``refine_line`` does.
     """

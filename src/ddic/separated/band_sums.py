@@ -53,9 +53,7 @@ class BandTree:
     def finish(self) -> Array:
         """Sum what is left: one group where the number of bands is a power of 2."""
         total, *others = (self.groups[place] for place in sorted(self.groups, key=_first_band))
-        for values in others:
-            total = total + values
-        return total
+        return sum(others, start=total)
 
 
 def _first_band(place: Place) -> int:

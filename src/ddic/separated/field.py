@@ -7,7 +7,6 @@ i + k.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -192,13 +191,10 @@ def solve_coupled(blocks: Array, right: Array, what: str) -> Array:
     return np.ascontiguousarray(solution.reshape(n, m).T)
 
 
-def add_up(bands: Sequence[Array]) -> Array:
-    """Add matrices (..., 2 w + 1, n) of different widths, at least one; the sum is as wide as the widest."""
-    width = max(matrix.shape[-2] // 2 for matrix in bands)
-    total = pad_diagonals(bands[0], width)
-    for matrix in bands[1:]:
-        total = total + pad_diagonals(matrix, width)
-    return total
+def add_matrices(one: Array, other: Array) -> Array:
+    """Add matrices (..., 2 w + 1, n) of different widths; the sum is as wide as the wider one."""
+    width = max(one.shape[-2], other.shape[-2]) // 2
+    return pad_diagonals(one, width) + pad_diagonals(other, width)
 
 
 _TINY = 1e-300

@@ -13,7 +13,7 @@ from ddic.arrays import Array, IntArray
 from ddic.separated.field import (
     LineElements,
     SeparatedField,
-    add_up,
+    add_matrices,
     multiply,
     orthonormalize,
     scale_modes,
@@ -72,7 +72,7 @@ class Direction:
         sums = self.integrate(self.other.evaluate_at_pixels(given))
         blocks = assemble_blocks(self.line, sums[[0, 1, 1, 2]].reshape(2, 2, -1))
         right = np.stack([self.line.sum_at_nodes(row) for row in sums[3:]]) - self._regularize(given)
-        blocks = add_up([blocks, self.operator.assemble(self.operator.reduce(given, given))])
+        blocks = add_matrices(blocks, self.operator.assemble(self.operator.reduce(given, given)))
         functions = solve_coupled(blocks, right, f"correction along {self.name}")
         return functions, 0.5 * float((right * functions).sum())
 
@@ -144,16 +144,14 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
     broadcast = pixels.reference.sums.broadcast
     y = estimate_functions(pixels)
     before: SeparatedField | None = None
-    n_sweeps = 0
-    while n_sweeps < max_sweeps:
-        n_sweeps += 1
+    for n_sweeps in range(1, max_sweeps + 1):
         x, _ = broadcast(along_x.solve(y))
         y, gain = broadcast(along_y.solve(_scale(x)))
-        mode = scale_modes(along_x.line, along_y.line, _scale(x)[None], y[None])
-        if before is not None and broadcast(_change(before, mode) <= stagnation):
+        mode = Mode(scale_modes(along_x.line, along_y.line, _scale(x)[None], y[None]), gain, n_sweeps)
+        if before is not None and broadcast(_change(before, mode.field) <= stagnation):
             break
-        before, y = mode, _scale(y)
-    return Mode(mode, gain, n_sweeps)
+        before, y = mode.field, _scale(y)
+    return mode
 
 
 def estimate_functions(pixels: FramePixels) -> Array:
@@ -221,7 +219,7 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator, displaceme
     blocks = assemble_blocks(line, data)
     if len(oriented.rows):
         # Blocks of no term would take as much memory.
-        blocks = add_up([blocks, _couple(oriented, functions)])
+        blocks = add_matrices(blocks, _couple(oriented, functions))
     given = (displacement.y, displacement.scaled_x) if along_y else (displacement.scaled_x, displacement.y)
     vector = np.stack([line.sum_at_nodes(row) for row in right]) - _regularize(oriented, functions, *given)
     found = solve_coupled(blocks, vector, "update of one direction").reshape(-1, 2, line.n_nodes)

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from ddic.arrays import Array, IntArray
 from ddic.images.sub_image import MaskedSource
@@ -190,7 +189,7 @@ def find_pieces(mesh: Mesh) -> IntArray:
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     ones = np.ones(len(cell_of_corner))
     has_node = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
-    _, pieces = connected_components(has_node @ has_node.T, directed=False)
+    _, pieces = sparse.csgraph.connected_components(has_node @ has_node.T, directed=False)
     return np.asarray(pieces, dtype=np.int64)
 
 
