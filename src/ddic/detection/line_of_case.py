@@ -11,7 +11,7 @@ import numpy as np
 
 from ddic.arrays import Array
 from ddic.case.schema import Case, DiscontinuitySection
-from ddic.detection.refine_line import SEARCHED, Squares, UncertainLine, measure_residuals, find_move, refine_line
+from ddic.detection.refine_line import SEARCHED, Squares, UncertainLine, find_move, measure_residuals, refine_line
 from ddic.detection.refine_tip import find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.fracture.crack_tip import find_kolosov_constant

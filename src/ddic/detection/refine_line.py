@@ -259,7 +259,15 @@ def refine_line(images: Images, mesh: Mesh, start: CutField, line: UncertainLine
 
 @dataclass(frozen=True)
 class Squares:
-    """Sum of squared residuals of some pixels, grey levels squared, and how many unknowns explain them."""
+    """Squared residuals of some pixels.
+
+    Attributes
+    ----------
+    total : float
+        Their sum, grey levels squared.
+    n_pixels, n_unknowns : int
+        How many they are, and how many unknowns explain them.
+    """
 
     total: float
     n_pixels: int
