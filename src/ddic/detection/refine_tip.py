@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddic.arrays import Array, IntArray
-from ddic.detection.refine_line import UncertainLine, compute_residuals
+from ddic.detection.refine_line import BELIEVED, UncertainLine, compute_residuals
 from ddic.errors import ConvergenceError
 from ddic.fracture.crack_tip import evaluate_williams_series
 from ddic.functionals.line_band import BAND
@@ -47,9 +47,6 @@ is; with a smaller one than the last, pixels, no tip is looked for."""
 
 INNER = 3.0
 """Pixels about the tip that do not count: there, materials do not stretch as the series does."""
-
-BELIEVED = 5.0
-"""Standard deviations of the residual beyond which a pixel does not count."""
 
 SAME_TIP, MOST_MOVES = 0.05, 20
 """Pixels: a tip that moves by no more has been found; times that it is moved, two to five are usual."""

@@ -203,9 +203,8 @@ def measure_wave_gradients(operator: SeparatedOperator, waves: Sequence[Wave]) -
     """Measure v^T L v of waves, (n_waves,), in the unit of L times square pixels."""
     energies = []
     for wave in waves:
-        x, y = np.zeros((1, 2, len(wave.x))), np.zeros((1, 2, len(wave.y)))
-        x[0, wave.component], y[0, wave.component] = wave.x, wave.y
-        energies.append(operator.measure_energy(x, y))
+        axis = np.eye(2)[None, wave.component, :, None]
+        energies.append(operator.measure_energy(axis * wave.x, axis * wave.y))
     return np.array(energies)
 
 

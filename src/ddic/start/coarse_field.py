@@ -18,6 +18,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera, Frame, MeasuredCells
 from ddic.inputs.inputs import Inputs
 from ddic.kinematics.camera import CameraSetup, see_discontinuities
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.field import Field
@@ -28,19 +29,13 @@ from ddic.problem.reference_problem import ReferenceProblem
 from ddic.start.binned_pair import BinnedPair, choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
-from ddic.start.multilevel import (
-    LinesOnLevels,
-    MultilevelStart,
-    Pyramid,
-    find_multilevel_start,
-    find_start_from_given,
-)
+from ddic.start.multilevel import MultilevelStart, Pyramid, find_multilevel_start, find_start_from_given
 
 LookedUp = tuple[Array, BoolArray]
 """Displacement of a subdomain's nodes, (n_nodes, 2), pixels, and which of them are known, (n_nodes,)."""
 
 
-SeenRegion = tuple[Mesh, LinesOnLevels]
+SeenRegion = tuple[Mesh, Discontinuities]
 """The cells that a camera measures, and discontinuities of their displacement, its pixels."""
 
 
@@ -102,10 +97,13 @@ class CoarseSearch:
         if self.regions is None:
             return None
         found = []
-        for (mesh, lines), camera, pair in zip(self.regions, self.cameras, pairs, strict=True):
-            pyramid = None if pair is None else Pyramid(pair, mesh, self.correction, lines)
+        largest_block = self.section.largest_enriched_block
+        for (mesh, discontinuities), camera, pair in zip(self.regions, self.cameras, pairs, strict=True):
+            pyramid = None
+            if pair is not None:
+                pyramid = Pyramid(pair, mesh, self.correction, discontinuities, largest_block)
             if self.given is not None:
-                placed = place_start(self.given, mesh, lines.discontinuities, camera)
+                placed = place_start(self.given, mesh, discontinuities, camera)
                 found.append(self._start_from(self.given, placed, pyramid))
             elif pyramid is not None:
                 found.append(find_multilevel_start(pyramid, self.section))
@@ -143,7 +141,7 @@ def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
     discontinuities = list_discontinuities(case)
     if camera.number > 0:
         discontinuities = see_discontinuities(discontinuities, cells.mesh, camera.setup.mapping)
-    return cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block)
+    return cells.seen, discontinuities
 
 
 def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -> BinnedPair | None:

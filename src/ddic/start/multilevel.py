@@ -100,28 +100,7 @@ NOTE_OUT_OF_REACH = ("start: neither the given displacement nor a translation is
 
 NOTE_OF_FEATURES = "start: features match; the given displacement is not used"
 
-
-@dataclass(frozen=True)
-class LinesOnLevels:
-    """Lines across which the displacement may be discontinuous, and from which level on [RHR08, section 3.2].
-
-    Attributes
-    ----------
-    discontinuities : Discontinuities
-        Pixels.
-    largest_block : float
-        Side, pixels, of the largest blocks on which displacements are discontinuous.
-    """
-
-    discontinuities: Discontinuities
-    largest_block: float
-
-    def choose_lines(self, size: int) -> Discontinuities:
-        """Give the lines of a level with blocks of ``size`` pixels: all, or none."""
-        return self.discontinuities if size <= self.largest_block else Discontinuities()
-
-
-NO_LINES = LinesOnLevels(Discontinuities(), np.inf)
+NO_LINES = Discontinuities()
 
 
 @dataclass(frozen=True)
@@ -183,14 +162,17 @@ class Pyramid:
         The whole mesh, pixels.
     correction : GreyCorrection
         Of grey levels.
-    lines : LinesOnLevels
-        Discontinuities of the displacement.
+    discontinuities : Discontinuities
+        Lines across which the displacement may be discontinuous, pixels.
+    largest_block : float
+        Side, pixels, of the largest blocks on which it is [RHR08, section 3.2].
     """
 
     pair: BinnedPair
     mesh: Mesh
     correction: GreyCorrection
-    lines: LinesOnLevels = NO_LINES
+    discontinuities: Discontinuities = NO_LINES
+    largest_block: float = np.inf
 
     @cached_property
     def sizes(self) -> list[int]:
@@ -221,7 +203,7 @@ class Pyramid:
 
         It is at rest, with a warning, where nothing stands out.
         """
-        return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.lines.discontinuities)
+        return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.discontinuities)
 
     def choose_levels_after(self, translation: CoarseField) -> list[int]:
         """Choose the levels that refine a translation, where it explains the whole region on the coarsest of them.
@@ -239,7 +221,7 @@ class Pyramid:
     @cached_property
     def matched(self) -> MatchedField | None:
         """A field through features that were found again; None where they do not agree with each other."""
-        region = cut_mesh(self.mesh, self.lines.discontinuities.lines).mesh
+        region = cut_mesh(self.mesh, self.discontinuities.lines).mesh
         pieces = find_pieces(region)
         matches = match_features(self.pairs[min(self.pairs)], region, pieces)
         return MatchedField(matches, region, pieces) if matches.agree else None
@@ -260,9 +242,9 @@ class Pyramid:
         """
         first, done, warnings = starts[0], [], []
         for size in sizes:
+            lines = self.discontinuities if size <= self.largest_block else NO_LINES
             try:
-                field = correlate_level(self.pairs[size], self.mesh, starts, self.correction,
-                                        self.lines.choose_lines(size))
+                field = correlate_level(self.pairs[size], self.mesh, starts, self.correction, lines)
             except (ConvergenceError, SingularSubdomainError) as error:
                 warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
             else:
@@ -305,10 +287,10 @@ def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Star
     elif pyramid.matched is not None:
         translation = pyramid.matched.matches.displacement.mean(axis=0)
     seen = pixels.bin_surroundings(pyramid.mesh, translation)
-    lines = replace(pyramid.lines, discontinuities=pyramid.lines.discontinuities.scale(seen.origin, 1.0))
-    mesh = move_mesh(pyramid.mesh, -seen.origin)
+    moved = replace(pyramid, pair=seen.pair, mesh=move_mesh(pyramid.mesh, -seen.origin),
+                    discontinuities=pyramid.discontinuities.scale(seen.origin, 1.0))
     try:
-        found = find_multilevel_start(Pyramid(seen.pair, mesh, pyramid.correction, lines), stages)
+        found = find_multilevel_start(moved, stages)
     except ConvergenceError:
         # What repeats itself in smaller blocks may not on the whole image.
         return None
