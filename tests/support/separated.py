@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ddic.functionals.regularization import Material
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
-from ddic.separated.band_sums import BandSums, build_tree, divide_rows
+from ddic.separated.band_sums import BandSums, divide_rows, sum_groups, sum_neighbours
 from ddic.separated.field import LineElements, SeparatedField, scale_modes
-from ddic.separated.pixel_bands import FramePixels, ReferencePixels, cut_bands
+from ddic.separated.pixel_bands import FramePixels, ReferenceBands, cut_bands
 from ddic.separated.separated_regularization import (
     ControlledLines,
     SeparatedOperator,
@@ -31,7 +31,7 @@ class SerialSums(BandSums):
 
     def add_up(self, of_bands: Iterable[Array]) -> Array:
         """Sum them."""
-        return build_tree(0, of_bands).finish()
+        return sum_groups([sum_neighbours(0, of_bands)])
 
     def join(self, of_bands: Iterable[Array]) -> Array:
         """Put them side by side."""
@@ -59,13 +59,13 @@ def lines(region: tuple[float, float, float, float], size: float) -> tuple[LineE
 
 
 def reference_of(image: Array, region: tuple[float, float, float, float], size: float, *,
-                 mask: NDArray[np.bool_] | None = None, degree: int = 3) -> ReferencePixels:
+                 mask: NDArray[np.bool_] | None = None, degree: int = 3) -> ReferenceBands:
     """The reference image in a rectangle."""
     along_x, along_y = lines(region, size)
     read = source(image, mask)
     window = Window(along_x.pixels.start, along_y.pixels.start, along_x.pixels.stop, along_y.pixels.stop)
     bands = cut_bands(read_reference(read, window, degree), along_x, divide_rows(along_y))
-    return ReferencePixels(along_x, along_y, bands, read.extent, SerialSums())
+    return ReferenceBands(along_x, along_y, bands, read.extent, SerialSums())
 
 
 def frame_of(displacement: DisplacementField, region: tuple[float, float, float, float], size: float, *,

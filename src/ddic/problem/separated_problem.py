@@ -19,7 +19,7 @@ from ddic.problem.region_mesh import build_material
 from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
 from ddic.separated.band_sums import divide_rows
 from ddic.separated.corrections import OF_GAP, OF_TIKHONOV, Regularization, Scheme, StoppingRules
-from ddic.separated.pixel_bands import FramePixels, ReferencePixels, count_usable, cut_bands
+from ddic.separated.pixel_bands import FramePixels, ReferenceBands, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
     SeparatedOperator,
     build_equilibrium_gap,
@@ -44,7 +44,7 @@ class SeparatedProblem:
         All ranks.
     inputs, rectangle : Inputs, Rectangle
         Reference image and settings, and what is measured.
-    reference : ReferencePixels
+    reference : ReferenceBands
         Bands of rows of this rank.
     regularization : Regularization or None
         With its weight.
@@ -57,7 +57,7 @@ class SeparatedProblem:
     team: Team
     inputs: Inputs
     rectangle: Rectangle
-    reference: ReferencePixels
+    reference: ReferenceBands
     regularization: Regularization | None
     size: ProblemSize
     scheme: Scheme
@@ -95,7 +95,7 @@ def _choose_rectangle(inputs: Inputs) -> Rectangle:
     return rectangle
 
 
-def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferencePixels:
+def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferenceBands:
     """Read the rows of the reference image that this rank owns; collective.
 
     Raises InputError on all ranks, where an image cannot be read or no pixel counts.
@@ -107,13 +107,13 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
     first, end = edges[team.rank:team.rank + 2].tolist()
     own = all_bands[first:end]
 
-    def read() -> ReferencePixels:
+    def read() -> ReferenceBands:
         columns = rectangle.along_x.pixels
         bands = []
         if own:
             window = Window(columns.start, own[0].start, columns.stop, own[-1].stop)
             bands = cut_bands(read_reference(source, window, degree), rectangle.along_x, own)
-        return ReferencePixels(rectangle.along_x, rectangle.along_y, bands, source.extent, TeamSums(team, first))
+        return ReferenceBands(rectangle.along_x, rectangle.along_y, bands, source.extent, TeamSums(team, first))
 
     reference = team.together(read)
     if not team.sum(count_usable(reference.bands)):
@@ -122,7 +122,7 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
     return reference
 
 
-def build_regularization(section: RegularizationSection | None, reference: ReferencePixels,
+def build_regularization(section: RegularizationSection | None, reference: ReferenceBands,
                          rectangle: Rectangle) -> Regularization | None:
     """Build the regularisation, None where the case asks for none, and find its weight; collective."""
     if section is None:
@@ -148,7 +148,7 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
     return Regularization(weighted, weight, per_wave / wavelength)
 
 
-def measure_separated_size(team: Team, inputs: Inputs, reference: ReferencePixels,
+def measure_separated_size(team: Team, inputs: Inputs, reference: ReferenceBands,
                            regularization: Regularization | None) -> ProblemSize:
     """Count what is about to be measured; collective. Unknowns are those of the Q4 elements between the same lines."""
     n_x, n_y = reference.along_x.n_nodes, reference.along_y.n_nodes

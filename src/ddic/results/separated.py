@@ -36,7 +36,7 @@ from ddic.results.residual_image import Patch, write_patches
 from ddic.results.summary import Summary, find_field_ranges
 from ddic.separated.corrections import CorrectionRecord, SeparatedSolution
 from ddic.separated.field import LineElements, SeparatedField
-from ddic.separated.pixel_bands import FramePixels, ReferencePixels
+from ddic.separated.pixel_bands import FramePixels, ReferenceBands
 from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
 from ddic.visibility.exclusions import KEPT, UNSEEN
 
@@ -78,7 +78,7 @@ class OutputCells:
         return field.evaluate_on_grid(self.x, self.y).reshape(-1, 2)
 
 
-def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
+def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferenceBands,
                        residual: Sequence[Rows]) -> OutputCells:
     """Sum the residual over cells, the same on all ranks; collective.
 
@@ -99,7 +99,7 @@ def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: Ref
     return OutputCells(x, y, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
 
 
-def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferencePixels, number: int,
+def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferenceBands, number: int,
               rows: Rows) -> Array:
     """Sums over the pixels of a band of (1, r, r^2, |grad f|^2) in each cell, (4, n_rows, n_columns)."""
     band, r = reference.bands[number], rows[1].astype(np.float64)

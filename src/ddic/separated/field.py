@@ -191,7 +191,7 @@ def solve_coupled(blocks: Array, right: Array, what: str) -> Array:
     return np.ascontiguousarray(solution.reshape(n, m).T)
 
 
-def add_matrices(one: Array, other: Array) -> Array:
+def add_diagonals(one: Array, other: Array) -> Array:
     """Add matrices (..., 2 w + 1, n) of different widths; the sum is as wide as the wider one."""
     width = max(one.shape[-2], other.shape[-2]) // 2
     return pad_diagonals(one, width) + pad_diagonals(other, width)

@@ -47,7 +47,7 @@ class ReferenceBand:
 
 
 @dataclass(frozen=True, eq=False)
-class ReferencePixels:
+class ReferenceBands:
     """The reference image in a rectangle, as one rank sees it.
 
     Attributes
@@ -139,7 +139,7 @@ class FramePixels:
 
     Attributes
     ----------
-    reference : ReferencePixels
+    reference : ReferenceBands
         The reference image.
     deformed : DeformedSubImage
         g.
@@ -147,7 +147,7 @@ class FramePixels:
         Owned ones.
     """
 
-    reference: ReferencePixels
+    reference: ReferenceBands
     deformed: DeformedSubImage
     bands: list[FrameBand] = field(default_factory=list)
 

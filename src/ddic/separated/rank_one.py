@@ -13,7 +13,7 @@ from ddic.arrays import Array, IntArray
 from ddic.separated.field import (
     LineElements,
     SeparatedField,
-    add_matrices,
+    add_diagonals,
     multiply,
     orthonormalize,
     scale_modes,
@@ -72,7 +72,7 @@ class Direction:
         sums = self.integrate(self.other.evaluate_at_pixels(given))
         blocks = assemble_blocks(self.line, sums[[0, 1, 1, 2]].reshape(2, 2, -1))
         right = np.stack([self.line.sum_at_nodes(row) for row in sums[3:]]) - self._regularize(given)
-        blocks = add_matrices(blocks, self.operator.assemble(self.operator.reduce(given, given)))
+        blocks = add_diagonals(blocks, self.operator.assemble(self.operator.reduce(given, given)))
         functions = solve_coupled(blocks, right, f"correction along {self.name}")
         return functions, 0.5 * float((right * functions).sum())
 
@@ -219,7 +219,7 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator, displaceme
     blocks = assemble_blocks(line, data)
     if len(oriented.rows):
         # Blocks of no term would take as much memory.
-        blocks = add_matrices(blocks, _couple(oriented, functions))
+        blocks = add_diagonals(blocks, _couple(oriented, functions))
     given = (displacement.y, displacement.scaled_x) if along_y else (displacement.scaled_x, displacement.y)
     vector = np.stack([line.sum_at_nodes(row) for row in right]) - _regularize(oriented, functions, *given)
     found = solve_coupled(blocks, vector, "update of one direction").reshape(-1, 2, line.n_nodes)
