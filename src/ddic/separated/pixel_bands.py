@@ -200,20 +200,20 @@ class FramePixels:
     def _integrate_bands(self, functions: Array, *, along_y: bool) -> Iterator[Array]:
         """Integrals over the pixels of each owned band: all pairs, row by row, then the single ones, (m^2 + m, n)."""
         n_modes = len(functions)
+        m = 2 * n_modes
         for band in self.bands:
-            rows = band.reference.rows
-            given = functions if along_y else functions[..., self.reference.locate(rows)]
-            slopes = (band.by_x.astype(np.float64), band.by_y.astype(np.float64))
-            n = len(rows) if along_y else band.by_x.shape[1]
-            m = 2 * n_modes
+            given = functions if along_y else functions[..., self.reference.locate(band.reference.rows)]
+            images = (band.by_x.astype(np.float64), band.by_y.astype(np.float64), band.residual)
+            # What is integrated over comes first.
+            *slopes, residual = (image.T if along_y else image for image in images)
+            n = residual.shape[1]
             found = np.empty((m * m + m, n))
             pairs, single = found[:m * m].reshape(n_modes, 2, n_modes, 2, n), found[m * m:].reshape(n_modes, 2, n)
             for c in range(2):
-                single[:, c] = _integrate(slopes[c] * band.residual, given[:, c], along_y=along_y)
+                single[:, c] = given[:, c] @ (slopes[c] * residual)
                 for d in range(c, 2):
                     products = (given[:, None, c] * given[None, :, d]).reshape(n_modes**2, -1)
-                    of_pairs = _integrate(slopes[c] * slopes[d], products, along_y=along_y)
-                    pairs[:, c, :, d] = of_pairs.reshape(n_modes, n_modes, n)
+                    pairs[:, c, :, d] = (products @ (slopes[c] * slopes[d])).reshape(n_modes, n_modes, n)
             pairs[:, 1, :, 0] = pairs[:, 0, :, 1].swapaxes(0, 1)
             yield found
 
@@ -320,8 +320,3 @@ class FramePixels:
         # Where nothing of it is in the image, any window will do: no pixel counts.
         clipped = window.clip(extent.width, extent.height)
         return clipped if clipped.width > 0 and clipped.height > 0 else Window(0, 0, 1, 1)
-
-
-def _integrate(image: Array, functions: Array, *, along_y: bool) -> Array:
-    """Integrals of an image (n_rows, width) against functions (m, n), (m, n_rows) or (m, width)."""
-    return np.asarray(functions @ (image.T if along_y else image))

@@ -14,6 +14,7 @@ from ddic.separated.field import (
     LineElements,
     SeparatedField,
     add_diagonals,
+    join_components,
     multiply,
     orthonormalize,
     scale_modes,
@@ -240,8 +241,7 @@ def _choose_functions(displacement: SeparatedField, mode: SeparatedField, *, alo
     for c in range(2):
         functions, r = orthonormalize(line, given[:, c])
         chosen.append(functions[np.abs(np.diag(r)) > DEPENDENT])
-    n_functions = max(len(functions) for functions in chosen)
-    return np.stack([np.pad(functions, ((0, n_functions - len(functions)), (0, 0))) for functions in chosen], axis=1)
+    return join_components(chosen)
 
 
 def _couple(operator: SeparatedOperator, functions: Array) -> Array:

@@ -96,11 +96,8 @@ def build_tikhonov(along_x: LineElements, along_y: LineElements) -> SeparatedOpe
 
     It couples no components and has no unit.
     """
-    terms: list[tuple[int, int, Product]] = []
-    for c in range(2):
-        terms.append((c, c, (along_x.stiffness, along_y.mass)))
-        terms.append((c, c, (along_x.mass, along_y.stiffness)))
-    return _stack(terms)
+    products = ((along_x.stiffness, along_y.mass), (along_x.mass, along_y.stiffness))
+    return _stack([(c, c, matrices) for c in range(2) for matrices in products])
 
 
 def factorize_stiffness(along_x: LineElements, along_y: LineElements,
