@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -132,6 +133,9 @@ CUT_OFF = 4.0
 N_BINS = 256
 """Pieces along a segment in which pixels are sorted by their height: a line that turns by a pixel from end to end is
 off by 1/512 px in them."""
+
+_BINS = (np.arange(N_BINS) + 0.5) / N_BINS
+"""Where they lie along a segment, from 0 to 1."""
 
 MOST_MOVES = 8
 """Times that a line is moved; three or four are usual."""
@@ -351,8 +355,7 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, given: Uncertai
                                         (reach, k == 0, k == len(along) - 1)))
     found = _search_on_grids(tables, reach, variance / given.deviation**2)
     gain = _sum_costs(tables, np.zeros(len(found))) - _sum_costs(tables, found)
-    return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found),
-                gain / variance)
+    return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found), gain / variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,15 +387,10 @@ class _Segment:
         costs = np.cumsum(within[:, ::-1], axis=1)[:, ::-1] + beyond[:, None]
         return cls(costs, np.histogram(bins, N_BINS, (0.0, 1.0), weights=difference)[0], (first, last), reach)
 
-    @property
-    def bins(self) -> Array:
-        """Where the pieces lie, from 0 to 1."""
-        return np.asarray((np.arange(N_BINS) + 0.5) / N_BINS)
-
     def sum_costs(self, ones: Array, others: Array) -> Array:
         """What the segment costs from any height at its beginning to any at its end, (n_ones, n_others)."""
         total = np.zeros((len(ones), len(others)))
-        for costs, place in zip(self.costs, self.bins, strict=True):
+        for costs, place in zip(self.costs, _BINS, strict=True):
             at = np.rint((ones[:, None] * (1 - place) + others * place + self.reach) / STEPS[-1]).astype(np.int64)
             total += costs[np.clip(at, 0, len(costs) - 1)]
         return total
@@ -400,8 +398,8 @@ class _Segment:
 
 def _sum_costs(segments: list[_Segment], heights: Array) -> float:
     """What a line with its ends and bends at heights costs."""
-    return float(sum(segment.sum_costs(ones, others)[0, 0] for segment, ones, others
-                     in zip(segments, heights[:-1, None], heights[1:, None], strict=True)))
+    return float(sum(segment.sum_costs(ones, others)[0, 0] for segment, (ones, others)
+                     in zip(segments, pairwise(heights[:, None]), strict=True)))
 
 
 def _search_on_grids(segments: list[_Segment], reach: float, stiffness: float) -> Array:
@@ -432,10 +430,9 @@ def _move_vertices(line: Array, segments: list[_Segment], heights: Array) -> Arr
     along /= np.linalg.norm(along, axis=1)[:, None]
     normals = np.column_stack([-along[:, 1], along[:, 0]])
     moved = line.copy()
-    for vertex, segment, place in ((0, 0, 0.0), (-1, -1, 1.0)):
-        first, last = segments[segment].places
-        one, other = heights[:2] if vertex == 0 else heights[-2:]
-        moved[vertex] += (one + (other - one) * (place - first) / max(last - first, 1e-12)) * normals[segment]
+    for end, place, (one, other) in ((0, 0.0, heights[:2]), (-1, 1.0, heights[-2:])):
+        first, last = segments[end].places
+        moved[end] += (one + (other - one) * (place - first) / max(last - first, 1e-12)) * normals[end]
     mean = (normals[:-1] + normals[1:]) / 2
     # A segment is as far off as its bend along its own normal.
     moved[1:-1] += heights[1:-1, None] * mean / np.maximum((mean**2).sum(axis=1), 0.1)[:, None]
@@ -446,7 +443,6 @@ def _measure_distance_moved(segments: list[_Segment], heights: Array) -> float:
     """Largest height where the sides part."""
     differences = np.concatenate([segment.differences for segment in segments])
     shares = np.cumsum(differences) / max(float(differences.sum()), 1e-300)
-    at = np.concatenate([one + (other - one) * segment.bins for segment, one, other
-                         in zip(segments, heights[:-1], heights[1:], strict=True)])
+    at = np.concatenate([one + (other - one) * _BINS for one, other in pairwise(heights)])
     tells = (shares >= TELLING[0]) & (shares <= TELLING[1])
     return float(np.abs(at[tells]).max(initial=0.0))
