@@ -34,7 +34,6 @@ FEWEST_OF_PIECE = 600
 """Blocks of a piece below which it takes the region's translation: coefficients of unrelated images of so many reach
 0.2 (200 000 translations). A larger value looks for fewer pieces' own."""
 
-
 AREA_RANGE = (0.2, 5.0)
 """Least and largest area of a displaced cell, times its own, with which it is drawn: others are torn."""
 
@@ -148,12 +147,15 @@ def move_on(given: CutField, pair: BinnedPair) -> list[MovedOn]:
     grey, pieces = _bring(given, pair)
     whole = _find_shift(grey, pair, pieces >= 0, FEWEST_BLOCKS)
     by_node = np.tile(whole.shift if _stands_out(whole) else (0.0, 0.0), (mesh.n_nodes, 1))
-    n_pieces, piece_of_node, of_pieces = int(pieces.max(initial=-1)) + 1, find_piece_of_nodes(mesh), []
-    for piece in range(n_pieces if n_pieces > 1 else 0):
-        shift = _find_shift(grey, pair, pieces == piece, FEWEST_OF_PIECE)
-        if _stands_out(shift):
-            by_node[piece_of_node == piece] = shift.shift
-            of_pieces.append(shift)
+    of_pieces = []
+    n_pieces = int(pieces.max(initial=-1)) + 1
+    if n_pieces > 1:
+        piece_of_node = find_piece_of_nodes(mesh)
+        for piece in range(n_pieces):
+            shift = _find_shift(grey, pair, pieces == piece, FEWEST_OF_PIECE)
+            if _stands_out(shift):
+                by_node[piece_of_node == piece] = shift.shift
+                of_pieces.append(shift)
     if of_pieces:
         found.append(MovedOn(CutField(mesh, given.displacement + by_node), tuple(of_pieces)))
     if _stands_out(whole):
