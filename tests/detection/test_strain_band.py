@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddic.detection.find_line import compute_tresca_strain, find_band
+from ddic.detection.line_of_case import compute_tresca_strain, find_band
 from ddic.mesh.structured import build_structured_mesh
 
 SIZE = 10.0

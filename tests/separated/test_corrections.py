@@ -23,7 +23,12 @@ from ddic.separated.corrections import (
 )
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import build_directions, find_rank_one
-from ddic.separated.separated_regularization import build_plane_waves, measure_wave_gaps, measure_wave_textures
+from ddic.separated.separated_regularization import (
+    build_no_operator,
+    build_plane_waves,
+    measure_wave_gaps,
+    measure_wave_textures,
+)
 from ddic.synth.fields import Translation
 from support.cases import WAVES
 from support.pictures import pair_of, source
@@ -137,7 +142,9 @@ def test_noise_gain_is_what_noise_gains(element: float, wavelength: float | None
         frame = FramePixels(reference_of(f, REGION, element), DeformedSubImage(source(g), 3))
         zero = build_zero_field(*lines(REGION, element))
         sums = frame.evaluate(zero)
-        operator = None if wavelength is None else _weigh(frame, wavelength).operator
+        operator = build_no_operator(zero.along_x, zero.along_y)
+        if wavelength is not None:
+            operator = _weigh(frame, wavelength).operator
         mode = find_rank_one(frame, build_directions(frame, operator, zero), 6, 0.05)
         density = None if wavelength is None else OF_GAP / wavelength
         rms = float(np.sqrt(sums.values[3] / sums.n_pixels))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import SingularSubdomainError
-from ddic.separated.field import add_up, multiply, multiply_matrices, pad_diagonals, solve_coupled, transpose
+from ddic.separated.field import add_diagonals, multiply, multiply_matrices, pad_diagonals, solve_coupled, transpose
 from support.separated import dense
 
 N = 9
@@ -28,7 +28,7 @@ def test_products_and_sums_are_those_of_dense_matrices(of_left: int, of_right: i
     assert np.allclose(multiply(left, v), dense(left) @ v, rtol=0, atol=1e-14)
     assert np.allclose(dense(multiply_matrices(left, right)), dense(left) @ dense(right), rtol=0, atol=1e-14)
     assert np.array_equal(dense(transpose(left)), dense(left).T)
-    assert np.array_equal(dense(add_up([left, right])), dense(left) + dense(right))
+    assert np.array_equal(dense(add_diagonals(left, right)), dense(left) + dense(right))
     assert np.array_equal(dense(pad_diagonals(left, 3)), dense(left))
 
 

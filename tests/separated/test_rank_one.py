@@ -9,7 +9,7 @@ from ddic.separated import rank_one
 from ddic.separated.field import SeparatedField, scale_modes
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import build_directions, find_rank_one, renew_functions
-from ddic.separated.separated_regularization import SeparatedOperator
+from ddic.separated.separated_regularization import SeparatedOperator, build_no_operator
 from ddic.synth.fields import Translation
 from support.cases import WAVES
 from support.separated import build_zero_field, frame_of, lines, random_field, weighted_gap
@@ -19,15 +19,16 @@ SIZE = 16.0
 ALONG_X, ALONG_Y = lines(REGION, SIZE)
 WEIGHT = 1e4
 """Of the equilibrium gap: about what a cut-off of 60 px asks for."""
+NONE = build_no_operator(ALONG_X, ALONG_Y)
 
 
-def _objective(frame: FramePixels, operator: SeparatedOperator | None, u: SeparatedField) -> float:
+def _objective(frame: FramePixels, operator: SeparatedOperator, u: SeparatedField) -> float:
     """Half the sum of squared residuals, with its regularisation."""
     squares = float(frame.evaluate(u).values[3])
-    return 0.5 * (squares + (0.0 if operator is None else operator.measure_energy(u.scaled_x, u.y)))
+    return 0.5 * (squares + operator.measure_energy(u.scaled_x, u.y))
 
 
-def _model(frame: FramePixels, operator: SeparatedOperator | None, u: SeparatedField, du: SeparatedField) -> float:
+def _model(frame: FramePixels, operator: SeparatedOperator, u: SeparatedField, du: SeparatedField) -> float:
     """The same with the residual linearised about u, where the frame was evaluated."""
     x = np.arange(ALONG_X.pixels.start, ALONG_X.pixels.stop, dtype=float)
     y = np.arange(ALONG_Y.pixels.start, ALONG_Y.pixels.stop, dtype=float)
@@ -39,7 +40,7 @@ def _model(frame: FramePixels, operator: SeparatedOperator | None, u: SeparatedF
         left = band.residual.astype(float) - band.by_x * of_band[..., 0] - band.by_y * of_band[..., 1]
         total += float((left**2).sum())
     v = u.add(du)
-    return 0.5 * (total + (0.0 if operator is None else operator.measure_energy(v.scaled_x, v.y)))
+    return 0.5 * (total + operator.measure_energy(v.scaled_x, v.y))
 
 
 @pytest.mark.parametrize("regularized", [False, True])
@@ -47,15 +48,13 @@ def test_right_hand_side_is_the_gradient_of_the_objective(regularized: bool) -> 
     # After a whole pixel both splines are the same: grad g(x + u) is grad f at the displacement of the images.
     u = scale_modes(ALONG_X, ALONG_Y, np.ones((1, 2, ALONG_X.n_nodes)), np.ones((1, 2, ALONG_Y.n_nodes)))
     frame = frame_of(Translation((1.0, 1.0)), REGION, SIZE)
-    operator = weighted_gap(ALONG_X, ALONG_Y, WEIGHT) if regularized else None
+    operator = weighted_gap(ALONG_X, ALONG_Y, WEIGHT) if regularized else NONE
     bent = u.add(random_field(ALONG_X, ALONG_Y, 1, size=1e-3))
     frame.evaluate(bent)
     along_x, _ = build_directions(frame, operator, bent)
     y = np.random.default_rng(5).normal(size=(2, ALONG_Y.n_nodes))
     sums = along_x.integrate(ALONG_Y.evaluate_at_pixels(y))
-    right = np.stack([ALONG_X.sum_at_nodes(row) for row in sums[3:]])
-    if operator is not None:
-        right = right - along_x._regularize(y)
+    right = np.stack([ALONG_X.sum_at_nodes(row) for row in sums[3:]]) - along_x._regularize(y)
     for c, node in ((0, 3), (1, 5)):
         slopes = []
         for sign in (1, -1):
@@ -70,7 +69,7 @@ def test_right_hand_side_is_the_gradient_of_the_objective(regularized: bool) -> 
 @pytest.mark.parametrize("regularized", [False, True])
 def test_gain_is_the_decrease_of_the_model_and_no_neighbour_is_better(regularized: bool) -> None:
     frame = frame_of(WAVES, REGION, SIZE)
-    operator = weighted_gap(ALONG_X, ALONG_Y, WEIGHT) if regularized else None
+    operator = weighted_gap(ALONG_X, ALONG_Y, WEIGHT) if regularized else NONE
     u = random_field(ALONG_X, ALONG_Y, 2, size=0.01)
     frame.evaluate(u)
     mode = find_rank_one(frame, build_directions(frame, operator, u), 60, 1e-9)
@@ -118,7 +117,7 @@ def test_nodes_without_a_pixel_follow_their_neighbours() -> None:
     frame = frame_of(WAVES, REGION, SIZE, mask=mask)
     u = build_zero_field(ALONG_X, ALONG_Y)
     frame.evaluate(u)
-    mode = find_rank_one(frame, build_directions(frame, None, u), 6, 0.05).field
+    mode = find_rank_one(frame, build_directions(frame, NONE, u), 6, 0.05).field
     hidden = np.flatnonzero((ALONG_X.nodes > 76) & (ALONG_X.nodes < 124))
     assert len(hidden) == 3
     beside = [hidden[0] - 2, hidden[-1] + 2]
@@ -135,6 +134,6 @@ def test_function_of_a_component_that_no_pixel_shows_is_zero() -> None:
     frame.evaluate(build_zero_field(ALONG_X, ALONG_Y))
     for band in frame.bands:
         band.by_y = np.zeros_like(band.by_y)
-    mode = find_rank_one(frame, build_directions(frame, None, build_zero_field(ALONG_X, ALONG_Y)), 6, 0.05)
+    mode = find_rank_one(frame, build_directions(frame, NONE, build_zero_field(ALONG_X, ALONG_Y)), 6, 0.05)
     assert mode.field.amplitudes[0, 1] <= 1e-12
     assert mode.field.amplitudes[0, 0] > 0.1

@@ -10,8 +10,7 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair
-from ddic.start.feature_matches import MatchedField, match_features
-from ddic.start.rigid_start import find_pieces
+from ddic.start.feature_matches import MatchedField, find_pieces, match_features
 from ddic.synth.speckle import SpeckleTexture
 from support.pictures import source
 

@@ -10,7 +10,7 @@ from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_displacement import CutField
-from ddic.start.start_from_given import move_on
+from ddic.start.rigid_start import move_on
 from ddic.synth.fields import Affine, DisplacementField
 from support.pictures import pair_of, source, square_mesh
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ddic.kinematics.motions import fit_affine_map
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.start.feature_matches import fit_affine_map, interpolate_pairs
+from ddic.start.given_start import interpolate_pairs
 
 MESH = build_structured_mesh((0.0, 0.0, 200.0, 100.0), 10)
 

@@ -18,9 +18,9 @@ POINTS = np.random.default_rng(0).uniform((10, 20), (110, 90), (400, 2))
 
 def _factorize(field: GridField, size: float) -> tuple[Rectangle, object]:
     rectangle = Rectangle(*lines(REGION, size))
-    found, notes = factorize_coarse_field(MultilevelStart(field, (), (8, 4), ()), rectangle)
-    assert notes == ("start: pyramid on blocks of 8, 4 px",)
-    return rectangle, found
+    start = MultilevelStart(field, (), (8, 4), ())
+    assert start.describe() == ("start: pyramid on blocks of 8, 4 px",)
+    return rectangle, factorize_coarse_field(start, rectangle)
 
 
 def test_products_are_the_coarse_field_at_the_nodes() -> None:

@@ -8,8 +8,7 @@ import pytest
 from ddic.case.schema import StartSection
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_displacement import CutField, evaluate_at_nodes
-from ddic.start.multilevel import MultilevelStart, Pyramid
-from ddic.start.start_from_given import find_start_from_given
+from ddic.start.multilevel import MultilevelStart, Pyramid, find_start_from_given
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, source, square_mesh
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.regularization import Material
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
-from ddic.separated.band_sums import SerialSums, divide_rows
+from ddic.separated.band_sums import BandSums, divide_rows, sum_groups, sum_neighbours
 from ddic.separated.field import LineElements, SeparatedField, scale_modes
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands, cut_bands
 from ddic.separated.separated_regularization import (
@@ -20,6 +23,33 @@ from ddic.synth.fields import DisplacementField
 from support.pictures import pair_of, source
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+
+
+class SerialSums(BandSums):
+    """All bands are on this rank."""
+
+    def add_up(self, of_bands: Iterable[Array]) -> Array:
+        """Sum them."""
+        return sum_groups([sum_neighbours(0, of_bands)])
+
+    def join(self, of_bands: Iterable[Array]) -> Array:
+        """Put them side by side."""
+        return np.concatenate(list(of_bands), axis=-1)
+
+    def broadcast(self, item: T) -> T:
+        """Return it."""
+        return item
+
+    def together(self, work: Callable[[], T]) -> T:
+        """Run it."""
+        return work()
+
+
+def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedField:
+    """Build a field without modes, zero everywhere."""
+    return SeparatedField(along_x, along_y, np.zeros((0, 2)), np.zeros((0, 2, along_x.n_nodes)),
+                          np.zeros((0, 2, along_y.n_nodes)))
 
 
 def lines(region: tuple[float, float, float, float], size: float) -> tuple[LineElements, LineElements]:
@@ -54,12 +84,6 @@ def random_field(along_x: LineElements, along_y: LineElements, n_modes: int, see
     x = random.normal(size=(n_modes, 2, along_x.n_nodes))
     y = random.normal(size=(n_modes, 2, along_y.n_nodes))
     return scale_modes(along_x, along_y, size * x, y)
-
-
-def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedField:
-    """A field without modes, zero everywhere."""
-    return SeparatedField(along_x, along_y, np.zeros((0, 2)), np.zeros((0, 2, along_x.n_nodes)),
-                          np.zeros((0, 2, along_y.n_nodes)))
 
 
 def weighted_gap(along_x: LineElements, along_y: LineElements, weight: float,

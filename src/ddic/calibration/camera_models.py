@@ -7,6 +7,7 @@ import numpy as np
 
 from ddic.arrays import Array
 from ddic.images.camera import CameraMapping
+from ddic.kinematics.motions import fit_complex_factor
 
 Kind = Literal["translation", "similarity", "homography"]
 
@@ -132,12 +133,9 @@ def fit_similarity(mapping: CameraMapping, points: Array) -> tuple[CameraMapping
     Beside it comes what the mapping adds to it at the points, (n, 2), image px.
     """
     middle = points.mean(axis=0)
-    x, y = (points - middle).T
     image = mapping.to_image(points)
     place = image.mean(axis=0)
-    u, v = (image - place).T
-    c, s = np.array([x @ u + y @ v, x @ v - y @ u]) / (x @ x + y @ y)
-    turn = np.array([[c, -s], [s, c]])
+    turn = fit_complex_factor(points - middle, image - place)
     homography = np.eye(3)
     homography[:2, :2] = turn
     homography[:2, 2] = place - turn @ middle

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError
-from ddic.functionals.line_band import BAND
-from ddic.images.sub_image import MaskedSource
+from ddic.functionals.line_band import BAND, list_pixels_outside
 from ddic.images.window import Window
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import CutMesh
@@ -82,7 +82,7 @@ def compute_residuals(images: Images, pixels: IntArray, displacement: Array, own
     the pixels that the displacement belongs to, ``own``, (n,); all by default. Returns grey levels, (n,); nan where a
     pixel is left out of an image, or is displaced out of it.
     """
-    f, g = _evaluate_images(images.reference, images.deformed, pixels, displacement)
+    f, g = _evaluate_images(images, pixels, displacement)
     fitted = np.isfinite(f - g) & (True if own is None else own)
     if images.correction == "none" or fitted.sum() < FEWEST_FITTED:
         return f - g
@@ -90,11 +90,11 @@ def compute_residuals(images: Images, pixels: IntArray, displacement: Array, own
     return np.asarray(f - gain * g - offset)
 
 
-def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: IntArray,
-                     displacement: Array) -> tuple[Array, Array]:
+def _evaluate_images(images: Images, pixels: IntArray, displacement: Array) -> tuple[Array, Array]:
     """f(x) and g(x + u), nan where a pixel is left out."""
     if not len(pixels):
         return np.zeros(0), np.zeros(0)
+    reference, deformed = images.reference, images.deformed
     low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
     window = Window.between(low, high)
     f = reference.image.read(window).astype(np.float64)[pixels[:, 1] - window.y0, pixels[:, 0] - window.x0]
@@ -109,11 +109,11 @@ def _evaluate_images(reference: MaskedSource, deformed: MaskedSource, pixels: In
     low, high = np.floor(at[is_inside].min(axis=0)), np.ceil(at[is_inside].max(axis=0)) + 1
     seen = Window.between(low, high).grow(HALO).intersection(extent)
     g_values = deformed.image.read(seen).astype(np.float64)
-    g = ndimage.map_coordinates(g_values, (at - (seen.x0, seen.y0))[:, ::-1].T, order=3, mode="mirror")
+    g = scipy.ndimage.map_coordinates(g_values, (at - (seen.x0, seen.y0))[:, ::-1].T, order=3, mode="mirror")
     usable = deformed.find_usable(seen)
     if usable is not None:
         beside = np.rint(np.where(is_inside[:, None], at, at[is_inside][0])).astype(np.int64) - (seen.x0, seen.y0)
-        shown = ndimage.minimum_filter(usable, size=3)
+        shown = scipy.ndimage.minimum_filter(usable, size=3)
         is_inside = is_inside & (shown[beside[:, 1], beside[:, 0]] > 0)
     return f, np.where(is_inside, g, np.nan)
 
@@ -133,6 +133,9 @@ CUT_OFF = 4.0
 N_BINS = 256
 """Pieces along a segment in which pixels are sorted by their height: a line that turns by a pixel from end to end is
 off by 1/512 px in them."""
+
+_BINS = (np.arange(N_BINS) + 0.5) / N_BINS
+"""Where they lie along a segment, from 0 to 1."""
 
 MOST_MOVES = 8
 """Times that a line is moved; three or four are usual."""
@@ -258,6 +261,53 @@ def refine_line(images: Images, mesh: Mesh, start: CutField, line: UncertainLine
     raise ConvergenceError(f"the line was still moving after {MOST_MOVES} rounds")
 
 
+@dataclass(frozen=True)
+class Squares:
+    """Squared residuals of some pixels.
+
+    Attributes
+    ----------
+    total : float
+        Their sum, grey levels squared.
+    n_pixels, n_unknowns : int
+        How many they are, and how many unknowns explain them.
+    """
+
+    total: float
+    n_pixels: int
+    n_unknowns: int
+
+    @property
+    def rms(self) -> float:
+        """Root mean square, grey levels."""
+        return float(np.sqrt(self.total / max(self.n_pixels, 1)))
+
+
+def measure_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine) -> tuple[Squares, Squares]:
+    """Measure residuals in the cells that a line cuts: of a continuous field on the same strip, and with the line.
+
+    The first is measured alike, from ``displacement``, (n_nodes, 2), pixels. Raises what ``refine_line`` does.
+    """
+    size = measure_cell_size(mesh)
+    strip, nodes = mesh.create_submesh(find_strip(mesh, refined.line, REACH * size))
+    whole = cut_level(strip, Discontinuities(), images.active, images.degree)
+    continuous = correlate_alone(images, whole, CUT_OFF * size, TOLERANCES, [displacement[nodes].ravel()],
+                                 "the strip along a line")
+    cut = refined.cells.cut
+    if cut.mesh.parts is None:
+        raise ValueError("no line cuts the mesh")
+    pixels, parts = list_pixels_outside(cut.mesh, cut.mesh.parts.cells, images.degree)
+    found = []
+    for cells, numbers, u in ((whole, cut.cell_of[parts], continuous), (refined.cells, parts, refined.displacement)):
+        placed = place_in_cells(cells.mesh, numbers, pixels.astype(np.float64))
+        there = interpolate_located(cells.mesh, u.reshape(cells.mesh.nodes.shape), placed)
+        found.append(compute_residuals(images, pixels, there))
+    counted = np.isfinite(found[0]) & np.isfinite(found[1])
+    before, after = (Squares(float((residuals[counted] ** 2).sum()), int(counted.sum()), cells.kinematics.n_unknowns)
+                     for residuals, cells in zip(found, (whole, refined.cells), strict=True))
+    return before, after
+
+
 def find_strip(mesh: Mesh, line: Array, reach: float) -> IntArray:
     """Find the cells whose centres lie within ``reach``, pixels, of a line: their sorted numbers, (n,)."""
     return np.flatnonzero(measure_distance(mesh.centroids, line) <= reach).astype(np.int64)
@@ -305,8 +355,7 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, given: Uncertai
                                         (reach, k == 0, k == len(along) - 1)))
     found = _search_on_grids(tables, reach, variance / given.deviation**2)
     gain = _sum_costs(tables, np.zeros(len(found))) - _sum_costs(tables, found)
-    return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found),
-                gain / variance)
+    return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found), gain / variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,15 +387,10 @@ class _Segment:
         costs = np.cumsum(within[:, ::-1], axis=1)[:, ::-1] + beyond[:, None]
         return cls(costs, np.histogram(bins, N_BINS, (0.0, 1.0), weights=difference)[0], (first, last), reach)
 
-    @property
-    def bins(self) -> Array:
-        """Where the pieces lie, from 0 to 1."""
-        return np.asarray((np.arange(N_BINS) + 0.5) / N_BINS)
-
     def sum_costs(self, ones: Array, others: Array) -> Array:
         """What the segment costs from any height at its beginning to any at its end, (n_ones, n_others)."""
         total = np.zeros((len(ones), len(others)))
-        for costs, place in zip(self.costs, self.bins, strict=True):
+        for costs, place in zip(self.costs, _BINS, strict=True):
             at = np.rint((ones[:, None] * (1 - place) + others * place + self.reach) / STEPS[-1]).astype(np.int64)
             total += costs[np.clip(at, 0, len(costs) - 1)]
         return total
@@ -354,8 +398,8 @@ class _Segment:
 
 def _sum_costs(segments: list[_Segment], heights: Array) -> float:
     """What a line with its ends and bends at heights costs."""
-    return float(sum(segment.sum_costs(ones, others)[0, 0] for segment, ones, others
-                     in zip(segments, heights[:-1, None], heights[1:, None], strict=True)))
+    return float(sum(segment.sum_costs(ones, others)[0, 0] for segment, (ones, others)
+                     in zip(segments, pairwise(heights[:, None]), strict=True)))
 
 
 def _search_on_grids(segments: list[_Segment], reach: float, stiffness: float) -> Array:
@@ -386,10 +430,9 @@ def _move_vertices(line: Array, segments: list[_Segment], heights: Array) -> Arr
     along /= np.linalg.norm(along, axis=1)[:, None]
     normals = np.column_stack([-along[:, 1], along[:, 0]])
     moved = line.copy()
-    for vertex, segment, place in ((0, 0, 0.0), (-1, -1, 1.0)):
-        first, last = segments[segment].places
-        one, other = heights[:2] if vertex == 0 else heights[-2:]
-        moved[vertex] += (one + (other - one) * (place - first) / max(last - first, 1e-12)) * normals[segment]
+    for end, place, (one, other) in ((0, 0.0, heights[:2]), (-1, 1.0, heights[-2:])):
+        first, last = segments[end].places
+        moved[end] += (one + (other - one) * (place - first) / max(last - first, 1e-12)) * normals[end]
     mean = (normals[:-1] + normals[1:]) / 2
     # A segment is as far off as its bend along its own normal.
     moved[1:-1] += heights[1:-1, None] * mean / np.maximum((mean**2).sum(axis=1), 0.1)[:, None]
@@ -400,7 +443,6 @@ def _measure_distance_moved(segments: list[_Segment], heights: Array) -> float:
     """Largest height where the sides part."""
     differences = np.concatenate([segment.differences for segment in segments])
     shares = np.cumsum(differences) / max(float(differences.sum()), 1e-300)
-    at = np.concatenate([one + (other - one) * segment.bins for segment, one, other
-                         in zip(segments, heights[:-1], heights[1:], strict=True)])
+    at = np.concatenate([one + (other - one) * _BINS for one, other in pairwise(heights)])
     tells = (shares >= TELLING[0]) & (shares <= TELLING[1])
     return float(np.abs(at[tells]).max(initial=0.0))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddic.arrays import Array, IntArray
-from ddic.detection.refine_line import UncertainLine, compute_residuals
+from ddic.detection.refine_line import BELIEVED, UncertainLine, compute_residuals
 from ddic.errors import ConvergenceError
 from ddic.fracture.crack_tip import evaluate_williams_series
 from ddic.functionals.line_band import BAND
@@ -48,27 +48,8 @@ is; with a smaller one than the last, pixels, no tip is looked for."""
 INNER = 3.0
 """Pixels about the tip that do not count: there, materials do not stretch as the series does."""
 
-BELIEVED = 5.0
-"""Standard deviations of the residual beyond which a pixel does not count."""
-
 SAME_TIP, MOST_MOVES = 0.05, 20
 """Pixels: a tip that moves by no more has been found; times that it is moved, two to five are usual."""
-
-
-@dataclass(frozen=True, eq=False)
-class UncertainTip:
-    """A tip whose place is uncertain.
-
-    Attributes
-    ----------
-    tip : Tip
-        As it is given.
-    line : UncertainLine
-        Whose tip it is; its deviation is the tip's too: how far it moves where pixels say nothing.
-    """
-
-    tip: Tip
-    line: UncertainLine
 
 
 @dataclass(frozen=True)
@@ -87,49 +68,40 @@ class TipMove:
     deviation: float
 
 
-def find_tip_move(images: Images, mesh: Mesh, start: CutField, given: UncertainTip, kappa: float) -> TipMove:
-    """Find how far a tip is off along its line.
+def find_tip_move(images: Images, mesh: Mesh, start: CutField, tip: Tip, line: UncertainLine, kappa: float) -> TipMove:
+    """Find how far the tip of a line is off along it, which is as uncertain as the line.
 
     The series starts from ``start``, pixels; the region's mesh is not cut; ``kappa`` is Kolosov's constant. Raises
     ConvergenceError where there is no room for the series, or no tip is found.
     """
-    deviation = given.line.deviation
-    radius = _choose_radius(mesh, given)
-    disk = _Disk.list_pixels(images, given.tip, radius, kappa)
+    deviation = line.deviation
+    radius = _choose_radius(mesh, tip, line)
+    disk = _Disk.list_pixels(images, tip, radius, kappa)
     coefficients, ahead = disk.fit(start, min(measure_cell_size(mesh), radius / 2)), 0.0
     for _ in range(MOST_MOVES):
-        step = disk.correct(coefficients, ahead, deviation)
-        coefficients = coefficients + step.of_terms
-        ahead += float(np.clip(step.ahead, -deviation, deviation))
+        of_terms, step, variance = disk.correct(coefficients, ahead, deviation)
+        coefficients = coefficients + of_terms
+        ahead += float(np.clip(step, -deviation, deviation))
         if abs(ahead) > radius / 2:
             break
-        if abs(step.ahead) <= SAME_TIP:
+        if abs(step) <= SAME_TIP:
             if not disk.is_as_good(coefficients, ahead, start, measure_cell_size(mesh)):
                 break
-            return TipMove(ahead, float(np.sqrt(step.variance)))
+            return TipMove(ahead, float(np.sqrt(variance)))
     raise ConvergenceError("about the tip, Williams' series does not fit the images")
 
 
-def _choose_radius(mesh: Mesh, given: UncertainTip) -> float:
+def _choose_radius(mesh: Mesh, tip: Tip, line: UncertainLine) -> float:
     """Radius of the disk about a tip in which its series holds, pixels."""
-    tip, line = given.tip, given.line.vertices
+    vertices = line.vertices
     edge = mesh.nodes[find_boundary_nodes(mesh)]
     last, before = (0, 1) if tip.vertex == 0 else (-1, -2)
-    room = [np.linalg.norm(edge - tip.position, axis=1).min(), np.linalg.norm(line[last] - line[before]),
-            *(measure_distance(tip.position[None], other)[0] for other in given.line.others)]
+    room = [np.linalg.norm(edge - tip.position, axis=1).min(), np.linalg.norm(vertices[last] - vertices[before]),
+            *(measure_distance(tip.position[None], other)[0] for other in line.others)]
     radius = min(ROOM * float(min(room)), LARGEST_ELEMENTS * measure_cell_size(mesh), LARGEST_PX)
     if radius < LEAST_PX:
         raise ConvergenceError("there is no room for Williams' series about the tip")
     return radius
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """Correction of the terms' coefficients and of the tip's place, and the variance of that by noise."""
-
-    of_terms: Array
-    ahead: float
-    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +174,11 @@ class _Disk:
         series, measured = (np.minimum(residual[counted] ** 2, most).sum() for residual in (of_series, of_field))
         return bool(series <= measured)
 
-    def correct(self, coefficients: Array, ahead: float, uncertainty: float) -> _Step:
-        """One step of Gauss-Newton from coefficients and a place of the tip, itself known to a standard deviation."""
+    def correct(self, coefficients: Array, ahead: float, uncertainty: float) -> tuple[Array, float, float]:
+        """One step of Gauss-Newton from coefficients and a place of the tip, itself known to a standard deviation.
+
+        That is, corrections of the coefficients and of the place, and the variance of the place by noise.
+        """
         terms, of_move = self.evaluate_terms(coefficients, ahead)
         residual = compute_residuals(self.images, self.pixels, terms @ coefficients @ self.axes)
         counted = np.isfinite(residual) & (np.hypot(self.local[:, 0] - ahead, self.local[:, 1]) > INNER)
@@ -221,4 +196,4 @@ class _Disk:
         except np.linalg.LinAlgError as error:
             raise ConvergenceError("pixels about the tip do not determine Williams' series") from error
         step = inverse @ right
-        return _Step(step[:-1], float(step[-1]), variance * float(inverse[-1, -1]))
+        return step[:-1], float(step[-1]), variance * float(inverse[-1, -1])

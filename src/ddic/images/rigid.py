@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, ndimage
 
 from ddic.arrays import Array, BoolArray
 
@@ -67,12 +67,12 @@ def find_rigid_shift(f: Array, g: Array, region: BoolArray) -> RigidShift:
 def _correlate_coefficients(f: Array, g: Array, weight: Array) -> Array:
     """Correlation coefficients of the region, where ``weight`` is 1 and f not 0, for all shifts; -1 where none is."""
     # Twice the size, or what leaves the image on one side would enter it on the other.
-    shape = tuple(fft.next_fast_len(2 * n, real=True) for n in f.shape)
-    spectrum_of_weight, spectrum_of_f = (np.conj(fft.rfft2(a, shape)) for a in (weight, f))
-    spectrum_of_g = fft.rfft2(g, shape)
+    shape = tuple(scipy.fft.next_fast_len(2 * n, real=True) for n in f.shape)
+    spectrum_of_weight, spectrum_of_f = (np.conj(scipy.fft.rfft2(a, shape)) for a in (weight, f))
+    spectrum_of_g = scipy.fft.rfft2(g, shape)
 
     def sum_products(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> Array:
-        return np.asarray(fft.irfft2(first * second, shape, overwrite_x=True))
+        return np.asarray(scipy.fft.irfft2(first * second, shape, overwrite_x=True))
 
     # Of the region's pixels that a shift keeps in the deformed image: number, sums, sums of squares, of products.
     n, f_sum, f_power = (_sum_kept(a, shape) for a in (weight, f, f**2))
@@ -80,7 +80,7 @@ def _correlate_coefficients(f: Array, g: Array, weight: Array) -> Array:
     g_sum = sum_products(spectrum_of_weight, spectrum_of_g)
     covariance = sum_products(spectrum_of_f, spectrum_of_g) - f_sum * g_sum / n_safe
     f_power -= f_sum**2 / n_safe
-    g_power = sum_products(spectrum_of_weight, fft.rfft2(g**2, shape)) - g_sum**2 / n_safe
+    g_power = sum_products(spectrum_of_weight, scipy.fft.rfft2(g**2, shape)) - g_sum**2 / n_safe
     floor = FLAT * max(float(f_power.max()), float(g_power.max()), _TINY)
     good = (n >= LEAST_OVERLAP * weight.sum()) & (f_power > floor) & (g_power > floor)
     return np.where(good, covariance / np.sqrt(np.where(good, f_power * g_power, 1.0)), -1.0)
@@ -111,7 +111,7 @@ def _find_peak(coefficient: Array) -> RigidShift:
     best = float(coefficient[row, column])
     # In the middle, where no peak lies across the ends of the array.
     centred = np.roll(coefficient > ALIKE * best, (height // 2 - row, width // 2 - column), axis=(0, 1))
-    n_alike = int(ndimage.label(centred)[1]) - 1 if best > 0 else 0
+    n_alike = int(scipy.ndimage.label(centred)[1]) - 1 if best > 0 else 0
     return RigidShift((shift_x, shift_y), best, n_alike)
 
 
@@ -149,7 +149,7 @@ class GridField:
         """Interpolate between the grid's nodes at points, (n, 2), pixels, bilinearly; constant beyond its edge."""
         place = (points - np.asarray(self.origin)) / np.asarray(self.spacing)
         return np.stack([
-            ndimage.map_coordinates(self.values[..., c], place[:, ::-1].T, order=1, mode="nearest")
+            scipy.ndimage.map_coordinates(self.values[..., c], place[:, ::-1].T, order=1, mode="nearest")
             for c in range(2)
         ], axis=1)
 
@@ -164,5 +164,5 @@ def fill_absent(values: Array) -> Array:
     absent = np.isnan(values[..., 0])
     if not absent.any():
         return values
-    nearest = ndimage.distance_transform_edt(absent, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(absent, return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)])

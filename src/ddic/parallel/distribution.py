@@ -14,7 +14,7 @@ from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.separated.band_sums import BandSums, build_band_tree, join_trees
+from ddic.separated.band_sums import BandSums, sum_groups, sum_neighbours
 
 HALVINGS = 60
 """Halvings of the interval that holds the smallest possible largest cost: enough for the last bit of a float, and more
@@ -195,13 +195,11 @@ class TeamSums(BandSums):
 
     def add_up(self, of_bands: Iterable[Array]) -> Array:
         """Sum arrays of one shape; only sums of groups of bands are sent."""
-        tree = build_band_tree(self.first, of_bands)
-        return tree.finish() if self.team.size == 1 else join_trees(self.team.gather_lists([tree.groups]))
+        return sum_groups(self.team.gather_lists([sum_neighbours(self.first, of_bands)]))
 
     def join(self, of_bands: Iterable[Array]) -> Array:
         """Put arrays side by side along their last axis."""
-        own = list(of_bands)
-        return np.concatenate(own if self.team.size == 1 else self.team.gather_lists(own), axis=-1)
+        return np.concatenate(self.team.gather_lists(of_bands), axis=-1)
 
     def broadcast(self, item: T) -> T:
         """Give all ranks what rank 0 has."""

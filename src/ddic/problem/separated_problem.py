@@ -6,7 +6,7 @@ import numpy as np
 
 from ddic.case.schema import RegularizationSection
 from ddic.errors import InputError, as_collective
-from ddic.functionals.regularization import find_edge_weight
+from ddic.functionals.regularization import find_cut_off_weight, find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
@@ -25,7 +25,6 @@ from ddic.separated.separated_regularization import (
     build_equilibrium_gap,
     build_plane_waves,
     build_tikhonov,
-    find_weight,
     measure_wave_gaps,
     measure_wave_gradients,
     measure_wave_textures,
@@ -136,7 +135,7 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
     tikhonov, material = build_tikhonov(along_x, along_y), build_material(section)
     energies = (measure_wave_gaps(along_x, along_y, material, waves) if is_gap
                 else measure_wave_gradients(tikhonov, waves))
-    weight = find_weight(measure_wave_textures(along_x, along_y, waves, reference.sum_texture), energies)
+    weight = find_cut_off_weight(measure_wave_textures(along_x, along_y, waves, reference.sum_texture), energies)
     probe = (wavelength, weight)
     if section.eta is not None:
         wavelength *= (section.eta / weight) ** (1 / POWER[section.operator])

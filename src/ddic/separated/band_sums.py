@@ -1,7 +1,6 @@
 """Sums over bands of rows that are rounded alike however bands are spread over ranks."""
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Protocol, TypeVar
 
@@ -18,6 +17,10 @@ N_BANDS = 16
 Place = tuple[int, int]
 """Level and number of a group of bands: group i of level l holds the bands i 2^l to (i + 1) 2^l - 1."""
 
+Groups = dict[Place, Array]
+"""Sums of groups that wait for a neighbour; two neighbours become one group as soon as both are there. Every rank comes
+to the sum of all bands by the same additions, whichever bands it has seen itself."""
+
 
 def divide_rows(along_y: LineElements) -> list[range]:
     """Divide the rows of a rectangle into N_BANDS bands, or one a row where there are fewer."""
@@ -26,57 +29,37 @@ def divide_rows(along_y: LineElements) -> list[range]:
     return [range(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-@dataclass
-class BandTree:
-    """Sums of groups of bands; two neighbours become one as soon as both are there.
+def sum_neighbours(first: int, of_bands: Iterable[Array]) -> Groups:
+    """Sum arrays of one shape of bands that follow each other from number ``first``, as far as neighbours are there."""
+    groups: Groups = {}
+    for number, values in enumerate(of_bands, start=first):
+        _add(groups, (0, number), values)
+    return groups
 
-    Every rank comes to the sum of all bands by the same additions, whichever bands it has seen itself.
 
-    Attributes
-    ----------
-    groups : dict of array
-        Sums that wait for a neighbour.
-    """
+def sum_groups(of_ranks: Iterable[Groups]) -> Array:
+    """Sum the groups of all ranks; one group is left where the number of bands is a power of 2."""
+    groups: Groups = {}
+    for of_rank in of_ranks:
+        for place, values in of_rank.items():
+            _add(groups, place, values)
+    total, *others = (groups[place] for place in sorted(groups, key=_first_band))
+    return sum(others, start=total)
 
-    groups: dict[Place, Array] = field(default_factory=dict)
 
-    def add(self, place: Place, values: Array) -> None:
-        """Add a group's sum."""
-        level, number = place
-        neighbour = self.groups.pop((level, number ^ 1), None)
-        if neighbour is None:
-            self.groups[place] = values
-            return
-        first, second = (neighbour, values) if number % 2 else (values, neighbour)
-        self.add((level + 1, number // 2), first + second)
-
-    def finish(self) -> Array:
-        """Sum what is left: one group where the number of bands is a power of 2."""
-        total, *others = (self.groups[place] for place in sorted(self.groups, key=_first_band))
-        for values in others:
-            total = total + values
-        return total
+def _add(groups: Groups, place: Place, values: Array) -> None:
+    """Add a group's sum."""
+    level, number = place
+    neighbour = groups.pop((level, number ^ 1), None)
+    if neighbour is None:
+        groups[place] = values
+        return
+    first, second = (neighbour, values) if number % 2 else (values, neighbour)
+    _add(groups, (level + 1, number // 2), first + second)
 
 
 def _first_band(place: Place) -> int:
     return place[1] << place[0]
-
-
-def build_band_tree(first: int, of_bands: Iterable[Array]) -> BandTree:
-    """Sum arrays of one shape of bands that follow each other from number ``first``, as far as neighbours are there."""
-    tree = BandTree()
-    for number, values in enumerate(of_bands, start=first):
-        tree.add((0, number), values)
-    return tree
-
-
-def join_trees(groups: Iterable[Mapping[Place, Array]]) -> Array:
-    """Sum the groups of all ranks."""
-    tree = BandTree()
-    for of_rank in groups:
-        for place, values in of_rank.items():
-            tree.add(place, values)
-    return tree.finish()
 
 
 class BandSums(Protocol):
@@ -97,23 +80,3 @@ class BandSums(Protocol):
     def together(self, work: Callable[[], T]) -> T:
         """Run work, free of communication, that may fail on one rank alone, and return its result."""
         ...
-
-
-class SerialSums(BandSums):
-    """All bands are on this rank."""
-
-    def add_up(self, of_bands: Iterable[Array]) -> Array:
-        """Sum them."""
-        return build_band_tree(0, of_bands).finish()
-
-    def join(self, of_bands: Iterable[Array]) -> Array:
-        """Put them side by side."""
-        return np.concatenate(list(of_bands), axis=-1)
-
-    def broadcast(self, item: T) -> T:
-        """Return it."""
-        return item
-
-    def together(self, work: Callable[[], T]) -> T:
-        """Run it."""
-        return work()

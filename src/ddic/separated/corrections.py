@@ -14,7 +14,7 @@ from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
 from ddic.separated.field import LineElements, SeparatedField
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import Mode, build_directions, find_rank_one, renew_functions
-from ddic.separated.separated_regularization import SeparatedOperator
+from ddic.separated.separated_regularization import SeparatedOperator, build_no_operator
 
 OF_GAP, OF_TIKHONOV = 1.4, 1.9
 """Functions that a regularisation lets through, per cut-off wavelength along a side: 1.1 to 1.45 and 1.1 to 1.9 were
@@ -189,8 +189,9 @@ def correct_displacement(pixels: FramePixels, start: SeparatedField, regularizat
     images that do not match, or ``note`` raises it; SingularSubdomainError where the images do not determine a
     correction.
     """
-    operator = None if regularization is None else regularization.operator
-    density = None if regularization is None else regularization.density
+    operator, density = build_no_operator(start.along_x, start.along_y), None
+    if regularization is not None:
+        operator, density = regularization.operator, regularization.density
     u, records, stop = start, list[CorrectionRecord](), ""
     sums, grey = _evaluate(pixels, u, scheme.correction)
     while not stop:
@@ -237,7 +238,7 @@ def _evaluate(pixels: FramePixels, u: SeparatedField, correction: GreyCorrection
     return sums, GreyState(float(np.sqrt(max(square - mean**2, 0.0))), float(np.sqrt(square)), int(n), gain, offset)
 
 
-def _add_mode(pixels: FramePixels, operator: SeparatedOperator | None, u: SeparatedField, mode: Mode,
+def _add_mode(pixels: FramePixels, operator: SeparatedOperator, u: SeparatedField, mode: Mode,
               n_before: int | None) -> SeparatedField:
     """U with a mode; with ``n_before`` corrections before it, functions of one direction are found anew."""
     if n_before is not None:

@@ -192,13 +192,10 @@ def solve_coupled(blocks: Array, right: Array, what: str) -> Array:
     return np.ascontiguousarray(solution.reshape(n, m).T)
 
 
-def add_up(bands: Sequence[Array]) -> Array:
-    """Add matrices (..., 2 w + 1, n) of different widths, at least one; the sum is as wide as the widest."""
-    width = max(matrix.shape[-2] // 2 for matrix in bands)
-    total = pad_diagonals(bands[0], width)
-    for matrix in bands[1:]:
-        total = total + pad_diagonals(matrix, width)
-    return total
+def add_diagonals(one: Array, other: Array) -> Array:
+    """Add matrices (..., 2 w + 1, n) of different widths; the sum is as wide as the wider one."""
+    width = max(one.shape[-2], other.shape[-2]) // 2
+    return pad_diagonals(one, width) + pad_diagonals(other, width)
 
 
 _TINY = 1e-300
@@ -261,8 +258,7 @@ class SeparatedField:
 
     def measure_rms(self, *, without_mean: bool = False) -> Array:
         """Measure the root mean square over the rectangle from the functions alone, (2,), pixels."""
-        of_x, of_y = (_multiply_all(line, functions) for line, functions in ((self.along_x, self.x),
-                                                                             (self.along_y, self.y)))
+        of_x, of_y = _multiply_all(self.along_x, self.x), _multiply_all(self.along_y, self.y)
         squares = np.einsum("kc,lc,ckl,ckl->c", self.amplitudes, self.amplitudes, of_x, of_y)
         if without_mean:
             means = self.amplitudes * _average(self.along_x, self.x) * _average(self.along_y, self.y)
@@ -283,10 +279,8 @@ class SeparatedField:
         """
         if not self.n_modes:
             return self
-        components = [_recompress_component(self, c, tolerance) for c in range(2)]
-        n_modes = max(len(amplitudes) for amplitudes, _, _ in components)
-        padded = [(np.pad(a, (0, n_modes - len(a))), _pad(x, n_modes), _pad(y, n_modes)) for a, x, y in components]
-        amplitudes, x, y = (np.stack(parts, axis=1) for parts in zip(*padded, strict=True))
+        components = (_recompress_component(self, c, tolerance) for c in range(2))
+        amplitudes, x, y = (join_components(parts) for parts in zip(*components, strict=True))
         return SeparatedField(self.along_x, self.along_y, amplitudes, x, y)
 
 
@@ -311,10 +305,15 @@ def factorize_grid(along_x: LineElements, along_y: LineElements, values: Array, 
         left, singular, right = np.linalg.svd(values[..., c], full_matrices=False)
         kept = _count_kept(singular / np.sqrt(values[..., c].size), tolerance)
         found.append((left[:, :kept].T, singular[:kept, None] * right[:kept]))
-    n_modes = max(len(rows) for rows, _ in found)
-    x = np.stack([_pad(columns, n_modes) for _, columns in found], axis=1)
-    y = np.stack([_pad(rows, n_modes) for rows, _ in found], axis=1)
+    y, x = (join_components(functions) for functions in zip(*found, strict=True))
     return scale_modes(along_x, along_y, x, y)
+
+
+def join_components(of_components: Sequence[Array]) -> Array:
+    """Join what both components' modes have, (n_modes of it, ...) each, with zeros where one has fewer modes."""
+    n_modes = max(len(values) for values in of_components)
+    return np.stack([np.pad(values, [(0, n_modes - len(values))] + [(0, 0)] * (values.ndim - 1))
+                     for values in of_components], axis=1)
 
 
 def _recompress_component(field: SeparatedField, c: int, tolerance: float) -> tuple[Array, Array, Array]:
@@ -331,43 +330,19 @@ def orthonormalize(line: LineElements, functions: Array) -> tuple[Array, Array]:
 
     Returns Q (k, n_nodes), k the smaller one of m and n_nodes, and R (k, m), upper triangular: functions = R^T Q.
     """
-    # With the Cholesky factor L of the mass matrix, L^T f has the function's norm for its length.
-    n = line.n_nodes
-    diagonal, beside = line.mass[1] / line.length, line.mass[2] / line.length
-    factor = _factorize_tridiagonal(diagonal, beside)
-    scaled = _multiply_upper(factor, functions.T)
+    # With the Cholesky factor L of the mass matrix, L^T f has the function's norm for its length. L^T is kept as
+    # LAPACK has it: first row above the diagonal, second row the diagonal.
+    factor = linalg.cholesky_banded(line.mass[:2] / line.length)
+    scaled = factor[1][:, None] * functions.T
+    scaled[:-1] += factor[0, 1:, None] * functions.T[1:]
     q, r = np.linalg.qr(scaled)
-    return _solve_upper(factor, q).T.reshape(-1, n), r
-
-
-def _factorize_tridiagonal(diagonal: Array, beside: Array) -> Array:
-    """Upper Cholesky factor, (2, n): first row above the diagonal, second row the diagonal."""
-    from scipy.linalg import cholesky_banded
-
-    upper = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal])
-    return np.asarray(cholesky_banded(upper))
-
-
-def _multiply_upper(factor: Array, columns: Array) -> Array:
-    product = factor[1][:, None] * columns
-    product[:-1] += factor[0, 1:, None] * columns[1:]
-    return np.asarray(product)
-
-
-def _solve_upper(factor: Array, columns: Array) -> Array:
-    from scipy.linalg import solve_banded
-
-    return np.asarray(solve_banded((0, 1), factor, columns))
+    return linalg.solve_banded((0, 1), factor, q).T.reshape(-1, line.n_nodes), r
 
 
 def _count_kept(singular: Array, tolerance: float) -> int:
     """How many values to keep so that those left out have at most this root sum of squares; one at least."""
     left_out = np.sqrt(np.cumsum(singular[::-1] ** 2))[::-1]
     return max(int((left_out > tolerance).sum()), 1)
-
-
-def _pad(functions: Array, n_modes: int) -> Array:
-    return np.pad(functions, ((0, n_modes - len(functions)), (0, 0)))
 
 
 def _multiply_all(line: LineElements, functions: Array) -> Array:

@@ -1,6 +1,6 @@
 """Pixels of a rectangle in bands of rows: integrals over them along either direction, and the residual."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,13 +73,16 @@ class ReferenceBands:
 
         ``component`` is a, ``of_columns`` (width,) are p and ``of_rows`` (height,) q.
         """
-        first = self.along_y.pixels.start
         found = []
         for band in self.bands:
             slope = (band.by_x, band.by_y)[component].astype(np.float64)
-            weights = of_rows[band.rows.start - first:band.rows.stop - first]
-            found.append(np.atleast_1d(weights @ (slope**2 @ of_columns)))
+            found.append(np.atleast_1d(of_rows[self.locate(band.rows)] @ (slope**2 @ of_columns)))
         return float(self.sums.add_up(found)[0])
+
+    def locate(self, rows: range) -> slice:
+        """Locate rows of the image among those of the rectangle."""
+        first = self.along_y.pixels.start
+        return slice(rows.start - first, rows.stop - first)
 
 
 def cut_bands(reference: GradientImage, along_x: LineElements, rows: Sequence[range]) -> list[ReferenceBand]:
@@ -123,6 +126,12 @@ class FrameBand:
     residual: Grey
     absent: BoolArray | None = None
 
+    def draw_residual(self, gain: float, offset: float) -> Grey:
+        """Draw f - gain g(x + u) - offset; nan where a pixel does not count."""
+        image = self.residual - (gain - 1.0) * (self.reference.values - self.residual) - offset
+        image = image.astype(np.float32)
+        return image if self.absent is None else np.where(self.absent, np.float32(np.nan), image)
+
 
 @dataclass(eq=False)
 class FramePixels:
@@ -152,12 +161,10 @@ class FramePixels:
         ``functions`` (2, height) are Y of both components in each row, the sums (5, width) those of f_x^2 Y1^2, f_x f_y
         Y1 Y2, f_y^2 Y2^2, r f_x Y1 and r f_y Y2.
         """
-        first = self.reference.along_y.pixels.start
         found = []
         for band in self.bands:
-            rows = band.reference.rows
             sums = np.zeros((kernels.N_SUMS, band.by_x.shape[1]))
-            of_band = np.ascontiguousarray(functions[:, rows.start - first:rows.stop - first])
+            of_band = np.ascontiguousarray(functions[:, self.reference.locate(band.reference.rows)])
             kernels.sum_over_rows(band.by_x, band.by_y, band.residual, of_band, sums)
             found.append(sums)
         return self.reference.sums.add_up(found)
@@ -192,21 +199,21 @@ class FramePixels:
 
     def _integrate_bands(self, functions: Array, *, along_y: bool) -> Iterator[Array]:
         """Integrals over the pixels of each owned band: all pairs, row by row, then the single ones, (m^2 + m, n)."""
-        n_modes, first = len(functions), self.reference.along_y.pixels.start
+        n_modes = len(functions)
+        m = 2 * n_modes
         for band in self.bands:
-            rows = band.reference.rows
-            given = functions if along_y else functions[..., rows.start - first:rows.stop - first]
-            slopes = (band.by_x.astype(np.float64), band.by_y.astype(np.float64))
-            n = len(rows) if along_y else band.by_x.shape[1]
-            m = 2 * n_modes
+            given = functions if along_y else functions[..., self.reference.locate(band.reference.rows)]
+            images = (band.by_x.astype(np.float64), band.by_y.astype(np.float64), band.residual)
+            # What is integrated over comes first.
+            *slopes, residual = (image.T if along_y else image for image in images)
+            n = residual.shape[1]
             found = np.empty((m * m + m, n))
             pairs, single = found[:m * m].reshape(n_modes, 2, n_modes, 2, n), found[m * m:].reshape(n_modes, 2, n)
             for c in range(2):
-                single[:, c] = _integrate(slopes[c] * band.residual, given[:, c], along_y=along_y)
+                single[:, c] = given[:, c] @ (slopes[c] * residual)
                 for d in range(c, 2):
                     products = (given[:, None, c] * given[None, :, d]).reshape(n_modes**2, -1)
-                    of_pairs = _integrate(slopes[c] * slopes[d], products, along_y=along_y)
-                    pairs[:, c, :, d] = of_pairs.reshape(n_modes, n_modes, n)
+                    pairs[:, c, :, d] = (products @ (slopes[c] * slopes[d])).reshape(n_modes, n_modes, n)
             pairs[:, 1, :, 0] = pairs[:, 0, :, 1].swapaxes(0, 1)
             yield found
 
@@ -216,12 +223,11 @@ class FramePixels:
         ``edges_x`` and ``edges_y`` (n + 1,) are columns and rows where blocks begin, counted from the rectangle's first
         ones.
         """
-        first = self.reference.along_y.pixels.start
         found = []
         for band in self.bands:
             sums = np.zeros((2, len(edges_y) - 1, len(edges_x) - 1))
-            kernels.sum_blocks(band.by_x, band.by_y, band.residual, band.reference.rows.start - first, edges_y,
-                               edges_x, sums)
+            first = self.reference.locate(band.reference.rows).start
+            kernels.sum_blocks(band.by_x, band.by_y, band.residual, first, edges_y, edges_x, sums)
             found.append(sums)
         return self.reference.sums.add_up(found)
 
@@ -240,16 +246,13 @@ class FramePixels:
     def compute_residual_rows(self, displacement: SeparatedField, gain: float,
                               offset: float) -> list[tuple[range, Grey]]:
         """Compute rows and residual f - gain g(x + u) - offset of each owned band; nan where a pixel does not count."""
-        found = []
+        def compute() -> list[tuple[range, Grey]]:
+            self._fill(displacement)
+            return [(band.reference.rows, band.draw_residual(gain, offset)) for band in self.bands]
 
-        def keep(band: FrameBand, residual: Grey) -> None:
-            image = residual - (gain - 1.0) * (band.reference.values - residual) - offset
-            found.append((band.reference.rows, image.astype(np.float32)))
+        return self.reference.sums.together(compute)
 
-        self.reference.sums.together(lambda: self._fill(displacement, keep))
-        return found
-
-    def _fill(self, displacement: SeparatedField, keep: Callable[[FrameBand, Grey], None] | None = None) -> list[Array]:
+    def _fill(self, displacement: SeparatedField) -> list[Array]:
         """Fill the residual of all bands; returns their grey sums."""
         if not self.bands:
             return []
@@ -257,18 +260,15 @@ class FramePixels:
         y = self.reference.along_y.evaluate_at_pixels(displacement.y)
         window = self._guess_window(x, y)
         self.deformed.hold(window)
-        return [self._fill_band(band, x, y, window, keep) for band in self.bands]
+        return [self._fill_band(band, x, y, window) for band in self.bands]
 
-    def _fill_band(self, band: FrameBand, x: Array, y: Array, window: Window,
-                   keep: Callable[[FrameBand, Grey], None] | None) -> Array:
+    def _fill_band(self, band: FrameBand, x: Array, y: Array, window: Window) -> Array:
         rows = band.reference.rows
-        of_rows = y[..., rows.start - self.reference.along_y.pixels.start:][..., :len(rows)]
+        of_rows = y[..., self.reference.locate(rows)]
         report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(window))
         if report[kernels.N_GREY] > 0:
             # Some pixels are displaced beyond the window that was guessed.
             report = self._fill_pixels(band, x, of_rows, self.deformed.get_spline(self._find_window(rows, x, of_rows)))
-        if keep is not None:
-            keep(band, band.residual)
         if int(report[0]) < band.residual.size:
             self._leave_out(band)
         else:
@@ -299,9 +299,8 @@ class FramePixels:
 
     def _guess_window(self, x: Array, y: Array) -> Window:
         """The window of g that a sample of the pixels of all owned bands is displaced to."""
-        first = self.reference.along_y.pixels.start
         rows = range(self.bands[0].reference.rows.start, self.bands[-1].reference.rows.stop)
-        own = y[..., rows.start - first:rows.stop - first]
+        own = y[..., self.reference.locate(rows)]
         i = np.linspace(0, x.shape[-1] - 1, SAMPLES).round().astype(int)
         j = np.linspace(0, len(rows) - 1, SAMPLES).round().astype(int)
         return self._bound(np.array(rows)[j], i, x[..., i], own[..., j])
@@ -319,8 +318,3 @@ class FramePixels:
         clipped = window.intersection(self.reference.extent)
         # Where nothing of it is in the image, any window will do: no pixel counts.
         return clipped if clipped.n_pixels else Window.of_size(1, 1)
-
-
-def _integrate(image: Array, functions: Array, *, along_y: bool) -> Array:
-    """Integrals of an image (n_rows, width) against functions (m, n), (m, n_rows) or (m, width)."""
-    return np.asarray(functions @ (image.T if along_y else image))

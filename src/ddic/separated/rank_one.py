@@ -13,7 +13,8 @@ from ddic.arrays import Array, IntArray
 from ddic.separated.field import (
     LineElements,
     SeparatedField,
-    add_up,
+    add_diagonals,
+    join_components,
     multiply,
     orthonormalize,
     scale_modes,
@@ -47,7 +48,7 @@ class Direction:
     integrate : callable
         From values of the given functions at pixels (2, n_other) to the five integrals in Eq. (19) of [PP12],
         (5, n_pixels).
-    operator : SeparatedOperator or None
+    operator : SeparatedOperator
         Regularisation, weight included, its x along ``line``.
     of_line, of_other : (n_terms, n_modes, n) array
         What its matrices make of the field so far, along both directions.
@@ -58,7 +59,7 @@ class Direction:
     line: LineElements
     other: LineElements
     integrate: Callable[[Array], Array]
-    operator: SeparatedOperator | None
+    operator: SeparatedOperator
     of_line: Array
     of_other: Array
     name: str
@@ -70,36 +71,36 @@ class Direction:
         levels squared.
         """
         sums = self.integrate(self.other.evaluate_at_pixels(given))
-        xx, xy, yy = (self.line.assemble(row) for row in sums[:3])
-        blocks = np.stack([np.stack([xx, xy]), np.stack([xy, yy])])
-        blocks = blocks + hold_nodes(self.line, blocks)
-        right = np.stack([self.line.sum_at_nodes(row) for row in sums[3:]])
-        if self.operator is not None:
-            weights = self.operator.reduce(given, given)
-            blocks = add_up([blocks, self.operator.assemble(weights)])
-            right = right - self._regularize(given)
+        blocks = assemble_blocks(self.line, sums[[0, 1, 1, 2]].reshape(2, 2, -1))
+        right = np.stack([self.line.sum_at_nodes(row) for row in sums[3:]]) - self._regularize(given)
+        blocks = add_diagonals(blocks, self.operator.assemble(self.operator.reduce(given, given)))
         functions = solve_coupled(blocks, right, f"correction along {self.name}")
         return functions, 0.5 * float((right * functions).sum())
 
     def _regularize(self, given: Array) -> Array:
         """L u against the given functions, (2, n)."""
-        operator = self.operator
-        if operator is None or not self.of_line.shape[1]:
-            return np.zeros((2, self.line.n_nodes))
-        products = np.einsum("ti,tki->tk", given[operator.rows], self.of_other)
+        rows = self.operator.rows
+        products = np.einsum("ti,tki->tk", given[rows], self.of_other)
         of_terms = np.einsum("tk,tki->ti", products, self.of_line)
-        return np.stack([of_terms[operator.rows == c].sum(axis=0) for c in range(2)])
+        return np.stack([of_terms[rows == c].sum(axis=0) for c in range(2)])
 
 
-def hold_nodes(line: LineElements, blocks: Array) -> Array:
-    """Give what holds the nodes that no pixel shows, diagonal in the functions; (m, m, 3, n), as the given blocks."""
-    every = np.arange(len(blocks))
+def assemble_blocks(line: LineElements, data: Array) -> Array:
+    """Assemble the matrices between all functions from their integrals at pixels (m, m, n_pixels), (m, m, 3, n).
+
+    With what holds the nodes that no pixel shows, diagonal in the functions.
+    """
+    m = len(data)
+    blocks = np.empty((m, m, 3, line.n_nodes))
+    for row in range(m):
+        for column in range(row, m):
+            blocks[row, column] = blocks[column, row] = line.assemble(data[row, column])
+    every = np.arange(m)
     scale = HELD * float(blocks[every, every, 1].mean()) / float(line.stiffness[1].mean())
     held = scale * line.stiffness
     held[1] += ANCHORED * held[1].mean()
-    diagonal = np.zeros_like(blocks)
-    diagonal[every, every] = held
-    return diagonal
+    blocks[every, every] += held
+    return blocks
 
 
 @dataclass(frozen=True)
@@ -121,18 +122,16 @@ class Mode:
     n_sweeps: int
 
 
-def build_directions(pixels: FramePixels, operator: SeparatedOperator | None,
+def build_directions(pixels: FramePixels, operator: SeparatedOperator,
                      displacement: SeparatedField) -> tuple[Direction, Direction]:
     """Set up both halves of the fixed point, for functions of x and of y, at a displacement.
 
     ``pixels`` hold the residual there; ``operator`` is the regularisation, weight included.
     """
     x, y = pixels.reference.along_x, pixels.reference.along_y
-    none = np.zeros((0, 0, 0))
-    of_x, of_y = (none, none) if operator is None else operator.apply(displacement.scaled_x, displacement.y)
-    swapped = None if operator is None else operator.transpose()
+    of_x, of_y = operator.apply(displacement.scaled_x, displacement.y)
     return (Direction(x, y, pixels.integrate_over_y, operator, of_x, of_y, "x"),
-            Direction(y, x, pixels.integrate_over_x, swapped, of_y, of_x, "y"))
+            Direction(y, x, pixels.integrate_over_x, operator.transpose(), of_y, of_x, "y"))
 
 
 def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], max_sweeps: int,
@@ -146,16 +145,14 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
     broadcast = pixels.reference.sums.broadcast
     y = estimate_functions(pixels)
     before: SeparatedField | None = None
-    n_sweeps = 0
-    while n_sweeps < max_sweeps:
-        n_sweeps += 1
+    for n_sweeps in range(1, max_sweeps + 1):
         x, _ = broadcast(along_x.solve(y))
         y, gain = broadcast(along_y.solve(_scale(x)))
-        mode = scale_modes(along_x.line, along_y.line, _scale(x)[None], y[None])
-        if before is not None and broadcast(_change(before, mode) <= stagnation):
+        mode = Mode(scale_modes(along_x.line, along_y.line, _scale(x)[None], y[None]), gain, n_sweeps)
+        if before is not None and broadcast(_change(before, mode.field) <= stagnation):
             break
-        before, y = mode, _scale(y)
-    return Mode(mode, gain, n_sweeps)
+        before, y = mode.field, _scale(y)
+    return mode
 
 
 def estimate_functions(pixels: FramePixels) -> Array:
@@ -207,8 +204,8 @@ DEPENDENT = 1e-6
 """Part of a function, of mean square 1, that is not made of those before it, below which it is left out."""
 
 
-def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, displacement: SeparatedField,
-                     mode: SeparatedField, *, along_y: bool, loss: float) -> SeparatedField:
+def renew_functions(pixels: FramePixels, operator: SeparatedOperator, displacement: SeparatedField,
+                    mode: SeparatedField, *, along_y: bool, loss: float) -> SeparatedField:
     """Find all functions of one direction anew, those of the other direction and of a new mode kept.
 
     One banded system couples all modes and both components. The functions kept are made orthogonal first, by which
@@ -219,14 +216,13 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator | None, dis
     line, other = (mode.along_y, mode.along_x) if along_y else (mode.along_x, mode.along_y)
     functions = pixels.reference.sums.broadcast(_choose_functions(displacement, mode, along_y=along_y))
     data, right = pixels.integrate_pairs(other.evaluate_at_pixels(functions), along_y=along_y)
-    blocks = _assemble_blocks(line, data)
-    blocks = blocks + hold_nodes(line, blocks)
-    vector = np.stack([line.sum_at_nodes(row) for row in right])
-    if operator is not None:
-        oriented = operator.transpose() if along_y else operator
-        blocks = add_up([blocks, _couple(oriented, functions)])
-        given = (displacement.y, displacement.scaled_x) if along_y else (displacement.scaled_x, displacement.y)
-        vector = vector - _regularize(oriented, functions, *given)
+    oriented = operator.transpose() if along_y else operator
+    blocks = assemble_blocks(line, data)
+    if len(oriented.rows):
+        # Blocks of no term would take as much memory.
+        blocks = add_diagonals(blocks, _couple(oriented, functions))
+    given = (displacement.y, displacement.scaled_x) if along_y else (displacement.scaled_x, displacement.y)
+    vector = np.stack([line.sum_at_nodes(row) for row in right]) - _regularize(oriented, functions, *given)
     found = solve_coupled(blocks, vector, "update of one direction").reshape(-1, 2, line.n_nodes)
     x, y = (functions, found) if along_y else (found, functions)
     corrected = displacement.add(scale_modes(mode.along_x, mode.along_y, x, y))
@@ -245,18 +241,7 @@ def _choose_functions(displacement: SeparatedField, mode: SeparatedField, *, alo
     for c in range(2):
         functions, r = orthonormalize(line, given[:, c])
         chosen.append(functions[np.abs(np.diag(r)) > DEPENDENT])
-    n_functions = max(len(functions) for functions in chosen)
-    return np.stack([np.pad(functions, ((0, n_functions - len(functions)), (0, 0))) for functions in chosen], axis=1)
-
-
-def _assemble_blocks(line: LineElements, data: Array) -> Array:
-    """Matrices between all functions from their integrals at pixels (m, m, n_pixels), (m, m, 3, n)."""
-    m = len(data)
-    blocks = np.empty((m, m, 3, line.n_nodes))
-    for row in range(m):
-        for column in range(row, m):
-            blocks[row, column] = blocks[column, row] = line.assemble(data[row, column])
-    return blocks
+    return join_components(chosen)
 
 
 def _couple(operator: SeparatedOperator, functions: Array) -> Array:

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from ddic.arrays import Array, BoolArray, IntArray
-from ddic.functionals.regularization import PHASES, Material, find_cut_off_weight
+from ddic.functionals.regularization import PHASES, Material
 from ddic.separated.field import LineElements, multiply, multiply_matrices, pad_diagonals, transpose
 
 Product = tuple[Array, Array]
@@ -66,10 +66,9 @@ class SeparatedOperator:
     def assemble(self, weights: Array) -> Array:
         """Sum the matrices along x, each with its weight, by the components that they couple, (2, 2, 2 w + 1, n_x)."""
         blocks = np.zeros((2, 2, *self.x.shape[1:]))
-        for c in range(2):
-            for d in range(2):
-                chosen = (self.rows == c) & (self.columns == d)
-                blocks[c, d] = np.einsum("t,tki->ki", weights[chosen], self.x[chosen])
+        for c, d in product(range(2), repeat=2):
+            chosen = (self.rows == c) & (self.columns == d)
+            blocks[c, d] = np.einsum("t,tki->ki", weights[chosen], self.x[chosen])
         return blocks
 
     def apply(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -86,16 +85,19 @@ class SeparatedOperator:
         return float((left * right).sum())
 
 
+def build_no_operator(along_x: LineElements, along_y: LineElements) -> SeparatedOperator:
+    """Build the operator without terms, that of no regularisation."""
+    none = np.zeros(0, np.int64)
+    return SeparatedOperator(none, none, np.zeros((0, 1, along_x.n_nodes)), np.zeros((0, 1, along_y.n_nodes)))
+
+
 def build_tikhonov(along_x: LineElements, along_y: LineElements) -> SeparatedOperator:
     """Build the integral of grad u : grad v, whose Euler equation is Laplace's: Eq. (26)-(28) of [PP12].
 
     It couples no components and has no unit.
     """
-    terms: list[tuple[int, int, Product]] = []
-    for c in range(2):
-        terms.append((c, c, (along_x.stiffness, along_y.mass)))
-        terms.append((c, c, (along_x.mass, along_y.stiffness)))
-    return _stack(terms)
+    products = ((along_x.stiffness, along_y.mass), (along_x.mass, along_y.stiffness))
+    return _stack([(c, c, matrices) for c in range(2) for matrices in products])
 
 
 def factorize_stiffness(along_x: LineElements, along_y: LineElements,
@@ -173,14 +175,11 @@ def build_plane_waves(along_x: LineElements, along_y: LineElements, wavelength: 
 
     That is all axes a, b and phases phi, the phase varying fastest, then b; ``wavelength`` is l_c, pixels.
     """
-    waves = []
-    for a in range(2):
-        for b in range(2):
-            for phase in PHASES:
-                lines = (along_x, along_y)
-                functions = [np.ones(line.n_nodes) for line in lines]
-                functions[b] = np.cos(2 * np.pi * lines[b].nodes / wavelength + phase)
-                waves.append(Wave(a, functions[0], functions[1]))
+    waves, lines = [], (along_x, along_y)
+    for a, b, phase in product(range(2), range(2), PHASES):
+        functions = [np.ones(line.n_nodes) for line in lines]
+        functions[b] = np.cos(2 * np.pi * lines[b].nodes / wavelength + phase)
+        waves.append(Wave(a, functions[0], functions[1]))
     return waves
 
 
@@ -201,9 +200,8 @@ def measure_wave_gradients(operator: SeparatedOperator, waves: Sequence[Wave]) -
     """Measure v^T L v of waves, (n_waves,), in the unit of L times square pixels."""
     energies = []
     for wave in waves:
-        x, y = np.zeros((1, 2, len(wave.x))), np.zeros((1, 2, len(wave.y)))
-        x[0, wave.component], y[0, wave.component] = wave.x, wave.y
-        energies.append(operator.measure_energy(x, y))
+        axis = np.eye(2)[None, wave.component, :, None]
+        energies.append(operator.measure_energy(axis * wave.x, axis * wave.y))
     return np.array(energies)
 
 
@@ -223,14 +221,6 @@ def measure_wave_textures(along_x: LineElements, along_y: LineElements, waves: S
         y = along_y.evaluate_at_pixels(wave.y) * along_y.evaluate_at_pixels(_inner(wave.y))
         energies.append(sum_texture(wave.component, x, y))
     return np.array(energies)
-
-
-def find_weight(texture: Array, energies: Array) -> float:
-    """Choose the weight at which texture and regularisation count alike at l_c, as ``find_cut_off_weight`` does.
-
-    It is eta; ``texture`` is v^T M v of waves, ``energies`` their v^T L v or |K v|^2, (n_waves,).
-    """
-    return find_cut_off_weight(texture, energies)
 
 
 def _inner(values: Array) -> Array:

@@ -1,18 +1,26 @@
-"""An image pair in blocks of pixels, the sides of these blocks, and the square grid on which they are measured."""
+"""An image pair in blocks of pixels, the sides of these blocks, and the square grid on which they are measured.
+
+What surrounds a small region is looked at in smaller blocks than the whole images.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
+from ddic.images.binned import bin_image, bin_window, join_blocks
 from ddic.images.rigid import GridField, fill_absent
 from ddic.images.sub_image import MaskedSource
+from ddic.images.window import Window
+from ddic.mesh.cell_parts import Lines
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.mesh.raster import Raster, rasterize
+from ddic.mesh.raster import rasterize
+from ddic.mesh.structured import GridLines
 
 CELL = 16
 """Side of the grid's cells, blocks. A larger value gives smoother fields, found more surely."""
@@ -40,10 +48,14 @@ COARSEST = 64
 """Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
 further."""
 
+MARGIN = 0.5
+"""What is seen around the region, times its longer side: it may turn by any angle about its middle, and grow by two
+thirds beside what the translation takes. A larger value finds larger motions, in larger blocks."""
+
 
 @dataclass(frozen=True)
 class BinnedPair:
-    """An image pair binned over blocks of factor x factor pixels.
+    """An image pair binned over blocks of factor x factor pixels; blocks are the unit of meshes on it.
 
     Attributes
     ----------
@@ -61,34 +73,114 @@ class BinnedPair:
     pixels: BinnedPair | None = None
 
     @property
-    def n_blocks(self) -> int:
-        """Blocks of an image."""
-        return self.reference.image.width * self.reference.image.height
+    def size(self) -> IntArray:
+        """Width and height of both images, blocks."""
+        return np.array([self.reference.image.width, self.reference.image.height])
 
     @property
     def centre(self) -> float:
-        """Position of block 0's centre, pixels."""
-        return locate_block_centre(self.factor)
+        """Position of block 0's centre along either axis, pixels."""
+        return (self.factor - 1) / 2
+
+    def scale(self, mesh: Mesh) -> Mesh:
+        """Scale a mesh from pixels to blocks; it is not cut."""
+        nodes = (mesh.nodes - self.centre) / self.factor
+        return Mesh(nodes, mesh.connectivity, mesh.offsets, mesh.types)
+
+    def scale_to_pixels(self, mesh: Mesh) -> Mesh:
+        """Scale a mesh in blocks, perhaps cut, to pixels."""
+        return _map_mesh(mesh, self.factor, self.centre)
+
+    def find_active(self, mesh: Mesh) -> NDArray[np.uint8]:
+        """Mark the blocks whose centre lies in a mesh, itself in blocks, and that are not masked.
+
+        Returns 1 on active blocks, 0 elsewhere, (rows, columns).
+        """
+        covered = rasterize(mesh).find_covered(self.reference.image.width, self.reference.image.height)
+        usable = self.reference.find_usable(self.reference.extent)
+        return covered if usable is None else covered & usable
+
+    def bin_at_sizes(self, sizes: Iterable[int]) -> dict[int, BinnedPair]:
+        """Bin both images at all block sizes (powers of 2), pixels, each from the one before."""
+        pairs: dict[int, BinnedPair] = {}
+        finer = self
+        for size in sorted(set(sizes)):
+            ratio = size // finer.factor
+            finer = BinnedPair(bin_image(finer.reference, ratio), bin_image(finer.deformed, ratio), size)
+            pairs[size] = finer
+        return pairs
+
+    def can_bin_finer(self, mesh: Mesh) -> bool:
+        """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on all pixels.
+
+        The blocks are pixels.
+        """
+        of_part = self._find_extent(mesh)
+        return find_finest_level(int(of_part.prod())) < find_finest_level(int(self.size.prod()))
+
+    def bin_surroundings(self, mesh: Mesh, translation: Array) -> Surroundings:
+        """Bin what surrounds a region, in blocks as small as those of an image of that size; from pixels.
+
+        ``translation``, (2,), pixels, is about that of the region.
+        """
+        extent = self._find_extent(mesh)
+        factor = choose_finest_block(int(extent.prod()))
+        extent -= extent % factor
+        middle = (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0)) / 2
+        origin, moved = (np.clip(np.rint(place - extent / 2).astype(int), 0, self.size - extent)
+                         for place in (middle, middle + translation))
+        reference, deformed = (join_blocks(source, [bin_window(source, factor, Window.between(begin, begin + extent))])
+                               for source, begin in ((self.reference, origin), (self.deformed, moved)))
+        return Surroundings(BinnedPair(reference, deformed, factor), origin.astype(float),
+                            (moved - origin).astype(float))
+
+    def _find_extent(self, mesh: Mesh) -> IntArray:
+        """Width and height of what is seen around a region, pixels."""
+        sides = np.ptp(mesh.nodes, axis=0)
+        return np.minimum(np.ceil(sides + 2 * MARGIN * sides.max()).astype(int), self.size)
 
 
-def scale_mesh(mesh: Mesh, factor: int) -> Mesh:
-    """Scale a mesh from pixels to blocks of ``factor`` pixels."""
-    nodes = (mesh.nodes - locate_block_centre(factor)) / factor
-    return Mesh(nodes, mesh.connectivity, mesh.offsets, mesh.types)
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Parts of both images, of the same size, that show a region and what is around it.
 
-
-def find_active_blocks(coarse: MaskedSource, raster: Raster) -> NDArray[np.uint8]:
-    """Mark the blocks whose centre lies in the mesh and that are not masked.
-
-    Returns 1 on active blocks, 0 elsewhere, (rows, columns); ``raster`` is of the mesh in blocks.
+    Attributes
+    ----------
+    pair : BinnedPair
+        The parts, positions counted from where each begins.
+    origin, translation : (2,) array
+        Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
     """
-    covered = raster.find_covered(coarse.image.width, coarse.image.height)
-    usable = coarse.find_usable(coarse.extent)
-    return covered if usable is None else covered & usable
+
+    pair: BinnedPair
+    origin: Array
+    translation: Array
+
+    def describe(self) -> str:
+        """Say for the log what is looked at."""
+        x, y = self.origin
+        width, height = self.pair.size * self.pair.factor
+        return (f"start: the region and what surrounds it, {width} x {height} px from ({x:.0f}, {y:.0f}) px on, in "
+                f"blocks of {self.pair.factor} px")
+
+
+def move_mesh(mesh: Mesh, vector: Array) -> Mesh:
+    """Give a mesh, perhaps cut, at another place: moved by ``vector``, (2,), pixels."""
+    return _map_mesh(mesh, 1, vector)
+
+
+def _map_mesh(mesh: Mesh, factor: int, origin: float | Array) -> Mesh:
+    """The same cells, all points times a factor and then moved."""
+    parts = mesh.parts
+    if parts is not None:
+        lines = Lines(tuple(line * factor + origin for line in parts.lines.polylines),
+                      tuple(bend * factor + origin for bend in parts.lines.bends))
+        parts = replace(parts, corners=parts.corners * factor + origin, lines=lines)
+    return replace(mesh, nodes=mesh.nodes * factor + origin, parts=parts)
 
 
 @dataclass(frozen=True)
-class Grid:
+class BlockGrid:
     """Square cells that hold active blocks, within a regular grid over the region's bounding box.
 
     Attributes
@@ -109,24 +201,19 @@ class Grid:
     origin: Array
     spacing: Array
 
-    def make_field(self, displacement: Array, factor: int) -> GridField:
+    def make_field(self, displacement: Array, pair: BinnedPair) -> GridField:
         """Make a field on the full grid, pixels, of displacements of the cells' nodes, (mesh.n_dofs,), blocks.
 
         Nodes without a cell have the nearest node's value.
         """
         values = np.full((*self.shape, 2), np.nan)
-        values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2) * factor
-        x0, y0 = self.origin * factor + locate_block_centre(factor)
-        step_x, step_y = self.spacing * factor
+        values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2) * pair.factor
+        x0, y0 = self.origin * pair.factor + pair.centre
+        step_x, step_y = self.spacing * pair.factor
         return GridField((x0, y0), (step_x, step_y), fill_absent(values))
 
 
-def locate_block_centre(factor: int) -> float:
-    """Find the position of the first block's centre along either axis, pixels; a block has ``factor`` pixels a side."""
-    return (factor - 1) / 2
-
-
-def build_grid(region: Mesh, active: NDArray[np.uint8]) -> Grid:
+def build_grid(region: Mesh, active: NDArray[np.uint8]) -> BlockGrid:
     """Build a grid over a region in blocks, without the cells that have no active block.
 
     Its cells have a side of about ``CELL`` blocks; ``active``, (rows, columns), is 1 on the blocks that count.
@@ -136,26 +223,13 @@ def build_grid(region: Mesh, active: NDArray[np.uint8]) -> Grid:
     edge = np.array([n_columns_of_blocks, n_rows_of_blocks]) - 0.5
     low, high = np.maximum(region.nodes.min(axis=0), -0.5), np.minimum(region.nodes.max(axis=0), edge)
     n_columns, n_rows = np.maximum(np.round((high - low) / CELL).astype(int), 1)
-    xs = np.linspace(low[0], high[0], n_columns + 1)
-    ys = np.linspace(low[1], high[1], n_rows + 1)
-    all_x, all_y = np.meshgrid(xs, ys)
-    nodes = np.stack([all_x.ravel(), all_y.ravel()], axis=1)
-    full = build_mesh(nodes, {Q4: _connect(n_rows, n_columns)})
-
+    grid = GridLines(np.linspace(low[0], high[0], n_columns + 1), np.linspace(low[1], high[1], n_rows + 1))
+    full = build_mesh(grid.nodes, {Q4: grid.quads})
     n_active = rasterize(full).sum_by_cell(active)
     mesh, numbers = full.create_submesh(np.flatnonzero(n_active > 0))
     shape = (int(n_rows) + 1, int(n_columns) + 1)
     spacing = (high - low) / (n_columns, n_rows)
-    return Grid(mesh, numbers, shape, low, spacing)
-
-
-def _connect(n_rows: int, n_columns: int) -> IntArray:
-    """Nodes of each cell of a full grid, (n_cells, 4)."""
-    nodes_a_row = n_columns + 1
-    rows, columns = np.divmod(np.arange(n_rows * n_columns), n_columns)
-    corner = rows * nodes_a_row + columns
-    below = corner + nodes_a_row
-    return np.stack([corner, corner + 1, below + 1, below], axis=1)
+    return BlockGrid(mesh, numbers, shape, low, spacing)
 
 
 def choose_finest_block(n_pixels: int) -> int:

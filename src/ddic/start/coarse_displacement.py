@@ -1,6 +1,8 @@
 """What the start finds, a displacement at any node: on cells that a line may cut, where the field may jump."""
 
-from dataclasses import dataclass, replace
+from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +13,12 @@ from ddic.images.rigid import GridField
 from ddic.kinematics.enriched import Discontinuities, enrich
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalRegion
-from ddic.mesh.cell_parts import Lines
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import interpolate_located, locate, place_in_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.start.binned_pair import locate_block_centre
+from ddic.start.binned_pair import move_mesh
 from ddic.start.feature_matches import MatchedField
 
 
@@ -64,26 +65,6 @@ def cut_level(mesh: Mesh, discontinuities: Discontinuities, active: NDArray[np.u
     return LevelMesh(cut, kinematics, on_edge, interior)
 
 
-def scale_to_pixels(mesh: Mesh, factor: int) -> Mesh:
-    """Give a mesh in blocks of ``factor`` pixels, perhaps cut, in pixels."""
-    return _map_mesh(mesh, factor, locate_block_centre(factor))
-
-
-def move_mesh(mesh: Mesh, vector: Array) -> Mesh:
-    """Give a mesh, perhaps cut, at another place: moved by ``vector``, (2,), pixels."""
-    return _map_mesh(mesh, 1, vector)
-
-
-def _map_mesh(mesh: Mesh, factor: int, origin: float | Array) -> Mesh:
-    """The same cells, all points times a factor and then moved."""
-    parts = mesh.parts
-    if parts is not None:
-        lines = Lines(tuple(line * factor + origin for line in parts.lines.polylines),
-                      tuple(bend * factor + origin for bend in parts.lines.bends))
-        parts = replace(parts, corners=parts.corners * factor + origin, lines=lines)
-    return replace(mesh, nodes=mesh.nodes * factor + origin, parts=parts)
-
-
 @dataclass(frozen=True, eq=False)
 class CutField:
     """Displacement on a mesh that discontinuities cut.
@@ -107,25 +88,20 @@ class CutField:
         """
         on_own_side = find_points_on_own_side(mesh)
         cells = locate(self.mesh, on_own_side).cells
-        is_held = cells >= 0
         values = interpolate_located(self.mesh, self.displacement, place_in_cells(self.mesh, cells, mesh.nodes))
-        if not is_held.all():
-            values[~is_held] = self._take_nearest(on_own_side[~is_held])
-        return values
+        return self._extend(values, on_own_side, cells < 0)
 
     def at(self, points: Array) -> Array:
         """Interpolate the displacement at points, (n, 2), pixels; outside the mesh it is that of the nearest node."""
         located = locate(self.mesh, points)
-        values = interpolate_located(self.mesh, self.displacement, located)
-        outside = located.cells < 0
-        if outside.any():
-            values[outside] = self._take_nearest(points[outside])
-        return values
+        return self._extend(interpolate_located(self.mesh, self.displacement, located), points, located.cells < 0)
 
-    def _take_nearest(self, points: Array) -> Array:
-        """Displacement of the nearest nodes, (n, 2), of points outside the mesh (n, 2), pixels."""
-        nearest = build_tree(find_points_on_own_side(self.mesh)).query(points)[1]
-        return np.asarray(self.displacement[nearest])
+    def _extend(self, values: Array, points: Array, outside: BoolArray) -> Array:
+        """The values at points, (n, 2), those outside the mesh replaced by the nearest node's."""
+        if outside.any():
+            nearest = build_tree(find_points_on_own_side(self.mesh)).query(points[outside])[1]
+            values[outside] = self.displacement[nearest]
+        return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +110,13 @@ class MovedField:
 
     Attributes
     ----------
-    field : CutField or MatchedField
+    field : CutField, MatchedField or MovedField
         Pixels of these parts.
     origin, translation : (2,) array
         Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
     """
 
-    field: CutField | MatchedField
+    field: CutField | MatchedField | MovedField
     origin: Array
     translation: Array
 
@@ -169,18 +145,16 @@ class KeptResult:
     beyond: CutField | None
 
 
-def move_field(field: CoarseField | KeptResult, origin: Array, translation: Array) -> CoarseField:
+def move_field(field: CoarseField, origin: Array, translation: Array) -> CoarseField:
     """Give what was found in parts of both images in pixels of the images.
 
     The reference image's part begins at ``origin``, the deformed image's part from there at ``translation``, (2,),
-    pixels. Raises TypeError where the field is not one that was found in a part.
+    pixels.
     """
-    if isinstance(field, GridField):
-        x, y = np.asarray(field.origin) + origin
-        return GridField((float(x), float(y)), field.spacing, field.values + translation)
-    if isinstance(field, CutField | MatchedField):
+    if not isinstance(field, GridField):
         return MovedField(field, origin, translation)
-    raise TypeError(f"a {type(field).__name__} is not found in a part of an image")
+    x, y = np.asarray(field.origin) + origin
+    return GridField((float(x), float(y)), field.spacing, field.values + translation)
 
 
 def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> Array:

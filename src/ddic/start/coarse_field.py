@@ -18,6 +18,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera, Frame, MeasuredCells
 from ddic.inputs.inputs import Inputs
 from ddic.kinematics.camera import CameraSetup, see_discontinuities
+from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.field import Field
@@ -28,14 +29,13 @@ from ddic.problem.reference_problem import ReferenceProblem
 from ddic.start.binned_pair import BinnedPair, choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
-from ddic.start.multilevel import LinesOnLevels, MultilevelStart, Pyramid, find_multilevel_start
-from ddic.start.start_from_given import find_start_from_given
+from ddic.start.multilevel import MultilevelStart, Pyramid, find_multilevel_start, find_start_from_given
 
 LookedUp = tuple[Array, BoolArray]
 """Displacement of a subdomain's nodes, (n_nodes, 2), pixels, and which of them are known, (n_nodes,)."""
 
 
-SeenRegion = tuple[Mesh, LinesOnLevels]
+SeenRegion = tuple[Mesh, Discontinuities]
 """The cells that a camera measures, and discontinuities of their displacement, its pixels."""
 
 
@@ -56,7 +56,7 @@ class CoarseSearch:
     regions : list of SeenRegion or None
         By camera, on the last rank.
     given : EarlierResult, StartPoints or None
-        What the user gives to start from, on rank 0 and on the last rank.
+        What the user gives to start from, on rank 0 and on the last rank; another one may be put in its place on all.
     """
 
     team: Team
@@ -66,10 +66,6 @@ class CoarseSearch:
     regions: list[SeenRegion] | None
     given: GivenStart | None = None
 
-    def start_from(self, given: GivenStart) -> CoarseSearch:
-        """Give a search that starts from something else than the case says; ``given`` is the same on all ranks."""
-        return replace(self, given=given)
-
     def prepare(self, frame: Frame | None) -> Callable[[], list[MultilevelStart] | None]:
         """Bin the images on all ranks; collective.
 
@@ -78,10 +74,10 @@ class CoarseSearch:
         """
         if frame is None:
             return lambda: None
-        if not (self.section.rigid or self.section.pyramid):
-            return partial(self._search, None)
-        pairs = [_bin_together(self.team, camera.reference, deformed)
-                 for camera, deformed in zip(self.cameras, frame, strict=True)]
+        pairs: list[BinnedPair | None] = [None] * len(self.cameras)
+        if self.section.rigid or self.section.pyramid:
+            pairs = [_bin_together(self.team, camera.reference, deformed)
+                     for camera, deformed in zip(self.cameras, frame, strict=True)]
         return partial(self._search, pairs)
 
     def share(self, found: list[MultilevelStart] | None) -> list[MultilevelStart] | None:
@@ -90,28 +86,36 @@ class CoarseSearch:
         shared: list[MultilevelStart] | None = self.team.broadcast(found, root=self.team.size - 1)
         return shared
 
-    def _search(self, pairs: Sequence[BinnedPair | None] | None) -> list[MultilevelStart] | None:
-        """The start of each camera's field; without pairs what is given, or rest, without a look at the images."""
+    def require_result(self) -> EarlierResult:
+        """Give the earlier result that is kept; raises TypeError where the search does not start from one."""
+        if not isinstance(self.given, EarlierResult):
+            raise TypeError("only an earlier result is kept")
+        return self.given
+
+    def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
+        """The start of each camera's field; without a pair what is given, or rest, without a look at the images."""
         if self.regions is None:
             return None
         found = []
-        for number, ((mesh, lines), camera) in enumerate(zip(self.regions, self.cameras, strict=True)):
+        largest_block = self.section.largest_enriched_block
+        for (mesh, discontinuities), camera, pair in zip(self.regions, self.cameras, pairs, strict=True):
             pyramid = None
-            if pairs is not None:
-                pyramid = Pyramid(require_held(pairs[number]), mesh, self.correction, lines)
-            if self.given is None:
-                found.append(MultilevelStart(build_uniform_field((0.0, 0.0))) if pyramid is None
-                             else find_multilevel_start(pyramid, self.section))
-                continue
-            placed = place_start(self.given, mesh, lines.discontinuities, camera)
-            start = (MultilevelStart(placed.field) if pyramid is None
-                     else find_start_from_given(placed.field, pyramid, self.section))
-            found.append(self._describe(self.given, placed, start))
+            if pair is not None:
+                pyramid = Pyramid(pair, mesh, self.correction, discontinuities, largest_block)
+            if self.given is not None:
+                placed = place_start(self.given, mesh, discontinuities, camera)
+                found.append(self._start_from(self.given, placed, pyramid))
+            elif pyramid is not None:
+                found.append(find_multilevel_start(pyramid, self.section))
+            else:
+                found.append(MultilevelStart(build_uniform_field((0.0, 0.0))))
         return found
 
-    @staticmethod
-    def _describe(given: GivenStart, placed: PlacedStart, start: MultilevelStart) -> MultilevelStart:
-        """The same, with notes; an earlier result that is kept is looked up where it is needed, at all its digits."""
+    def _start_from(self, given: GivenStart, placed: PlacedStart, pyramid: Pyramid | None) -> MultilevelStart:
+        """From what is given, with notes; an earlier result that is kept is looked up later, at all its digits."""
+        start = MultilevelStart(placed.field)
+        if pyramid is not None:
+            start = find_start_from_given(placed.field, pyramid, self.section)
         notes = (f"start: {given.describe()}", *placed.notes, *start.notes)
         is_kept_result = start.field is placed.field and isinstance(given, EarlierResult)
         return replace(start, notes=notes, field=KeptResult(placed.beyond) if is_kept_result else start.field)
@@ -137,30 +141,7 @@ def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
     discontinuities = list_discontinuities(case)
     if camera.number > 0:
         discontinuities = see_discontinuities(discontinuities, cells.mesh, camera.setup.mapping)
-    return cells.seen, LinesOnLevels(discontinuities, case.start.largest_enriched_block)
-
-
-def describe_starts(cameras: Sequence[Camera], found: Sequence[MultilevelStart]) -> tuple[str, ...]:
-    """Say for the log how the coarse fields of all cameras were found."""
-    notes: list[str] = []
-    for camera, start in zip(cameras, found, strict=True):
-        prefix = "" if len(cameras) == 1 else f"{camera.label}, "
-        notes += [prefix + line for line in describe_start(start)]
-    return tuple(notes)
-
-
-def describe_start(start: MultilevelStart) -> list[str]:
-    """Say for the log how a coarse field was found."""
-    lines = list(start.warnings)
-    shifts = [f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient {found.coefficient:.3f}"
-              for found in start.rigid]
-    lines = [*start.notes, *(f"start: rigid shift {shift}" for shift in shifts), *lines]
-    if start.n_matches:
-        lines.append(f"start: {start.n_matches} of {start.n_found} matched features agree with their neighbours")
-    if start.levels:
-        blocks = ", ".join(str(level) for level in start.levels)
-        lines.append(f"start: pyramid on blocks of {blocks} px")
-    return lines
+    return cells.seen, discontinuities
 
 
 def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -> BinnedPair | None:
@@ -187,14 +168,17 @@ def fit_found_fields(search: CoarseSearch, reference: ReferenceProblem,
     all ranks where the result holds no motion of a near field.
     """
     team, cameras, subdomains = search.team, search.cameras, reference.subdomains
-    notes = describe_starts(cameras, found)
+    notes: list[str] = []
+    for camera, start in zip(cameras, found, strict=True):
+        prefix = "" if len(cameras) == 1 else f"{camera.label}, "
+        notes += [prefix + line for line in start.describe()]
     own = [of_subdomain[0] for of_subdomain in reference.views]
     fields = [found[subdomain.camera].field for subdomain in subdomains]
     looked_up: Sequence[LookedUp | None] = [None] * len(subdomains)
     motions = [np.zeros(0)] * len(cameras)
     if any(isinstance(start.field, KeptResult) for start in found):
         looked_up = _look_up(search, subdomains)
-        motions = team.on_root(lambda: [_require_result(search).get_motion(camera) for camera in cameras])
+        motions = team.on_root(lambda: [search.require_result().get_motion(camera) for camera in cameras])
 
     def fit(subdomain: Subdomain, view: View, field: CoarseField | KeptResult, of_nodes: LookedUp | None) -> Array:
         seen = view.kinematics.hold_still()
@@ -207,7 +191,7 @@ def fit_found_fields(search: CoarseSearch, reference: ReferenceProblem,
 
     q = team.together(lambda: [fit(*of_subdomain)
                                for of_subdomain in zip(subdomains, own, fields, looked_up, strict=True)])
-    return Field(team, subdomains, q), notes
+    return Field(team, subdomains, q), tuple(notes)
 
 
 def _look_up(search: CoarseSearch, subdomains: Sequence[Subdomain]) -> list[LookedUp]:
@@ -218,18 +202,12 @@ def _look_up(search: CoarseSearch, subdomains: Sequence[Subdomain]) -> list[Look
         # All at once: the search trees of the earlier mesh are built once.
         of_ranks = require_held(wanted)
         on_own_side, nodes = (np.concatenate([places[k] for rank in of_ranks for places in rank]) for k in range(2))
-        values, known = _require_result(search).evaluate(on_own_side, nodes)
+        values, known = search.require_result().evaluate(on_own_side, nodes)
         ends = np.cumsum([len(places) for rank in of_ranks for _, places in rank])[:-1]
         pieces = iter(zip(np.split(values, ends), np.split(known, ends), strict=True))
         return [[next(pieces) for _ in rank] for rank in of_ranks]
 
     return search.team.scatter_from_root(look_up)
-
-
-def _require_result(search: CoarseSearch) -> EarlierResult:
-    if not isinstance(search.given, EarlierResult):
-        raise TypeError("only an earlier result is kept")
-    return search.given
 
 
 def _move_kept(subdomain: Subdomain, setup: CameraSetup, motion: Array, looked_up: LookedUp, beyond: CutField | None,

@@ -72,7 +72,7 @@ def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: li
     problem, reference = by.problem, by.problem.reference
     team, subdomains = problem.team, reference.subdomains
     if isinstance(begin, EarlierResult | StartPoints):
-        by, found = replace(by, search=by.search.start_from(begin)), None
+        by, found = replace(by, search=replace(by.search, given=begin)), None
     elif begin is not None:
         return Field(team, subdomains, begin), ("start: an earlier frame",)
     search = by.search

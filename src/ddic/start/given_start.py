@@ -1,6 +1,6 @@
 """A displacement that the user gives to start from, brought to the mesh of a region.
 
-Beyond where it is known it is in equilibrium with what is known.
+Points say what lies between them. Beyond where a result is known it is in equilibrium with what is known.
 """
 
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import Material, assemble_stiffness
@@ -18,6 +18,7 @@ from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides, requi
 from ddic.io.result_schema import near_group
 from ddic.io.series_reader import read_frame_or_last
 from ddic.kinematics.enriched import Discontinuities
+from ddic.kinematics.motions import AffineMap, fit_affine_map, interpolate_robustly
 from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
@@ -25,16 +26,13 @@ from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_facets
 from ddic.solvers.local_operator import LocalOperator
 from ddic.start.coarse_displacement import CutField
-from ddic.start.feature_matches import (
-    AffineMap,
-    ExtendedField,
-    find_piece_of_nodes,
-    fit_affine_map,
-    interpolate_pairs,
-)
+from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
 
 N_FACETS = 8
 """Edges of the earlier mesh, by their middles, among which the nearest to a point is sought."""
+
+EXACT = 1e-9
+"""What an affine map may leave of the displacements, pixels, to be taken for all of them: rounding."""
 
 HELD = 1e-9
 """Stiffness, times the mean of K's diagonal, that holds nodes to the affine map of what is known: where one node of a
@@ -195,18 +193,14 @@ def _place_result(given: EarlierResult, mesh: Mesh, camera: Camera) -> PlacedSta
 
 def _note_extrapolated(given: EarlierResult, unknown: Array) -> tuple[str, ...]:
     """Say of nodes, by points on their own sides, why nothing is known of them."""
-    is_outside = given.find_outside(unknown)
-    n_outside, n_unmeasured = int(is_outside.sum()), int((~is_outside).sum())
-    notes = []
-    if n_outside:
-        count = "1 node lies" if n_outside == 1 else f"{n_outside} nodes lie"
+    is_outside, name, places = given.find_outside(unknown), given.name, []
+    if is_outside.any():
         farthest = _measure_distances(given.result.mesh, unknown[is_outside]).max()
-        notes.append(f"start: {count} outside the mesh of {given.name}, by {farthest:.1f} px at most; displacement "
-                     "extrapolated by equilibrium")
-    if n_unmeasured:
-        count = "1 node lies" if n_unmeasured == 1 else f"{n_unmeasured} nodes lie"
-        notes.append(f"start: {count} where {given.name} measured nothing; displacement extrapolated by equilibrium")
-    return tuple(notes)
+        places.append((int(is_outside.sum()), f"outside the mesh of {name}, by {farthest:.1f} px at most"))
+    if not is_outside.all():
+        places.append((int((~is_outside).sum()), f"where {name} measured nothing"))
+    counts = [("1 node lies" if n == 1 else f"{n} nodes lie", place) for n, place in places]
+    return tuple(f"start: {count} {place}; displacement extrapolated by equilibrium" for count, place in counts)
 
 
 def _note_pieces(n_pieces: int, what: str) -> tuple[str, ...]:
@@ -227,6 +221,41 @@ def _measure_distances(mesh: Mesh, points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, None] - feet, axis=2).min(axis=1))
 
 
+@dataclass(frozen=True, eq=False)
+class ExtendedField:
+    """A displacement at the nodes of a mesh, of which it was known somewhere.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, 2) array
+        Pixels.
+    n_pieces_without : int
+        Pieces of the mesh in which it was known nowhere: they move with the affine map of what is nearest.
+    """
+
+    displacement: Array
+    n_pieces_without: int
+
+
+def interpolate_pairs(points: Array, displacement: Array, mesh: Mesh) -> ExtendedField:
+    """Interpolate displacements, (n, 2), at points, (n, 2), pixels, to a mesh, each piece of it for itself.
+
+    One point says a translation, two a rotation with a scale, three an affine map; what this leaves of more points is
+    interpolated by affine maps of the nearest ones, of which some may be wrong. At least one point is needed.
+    """
+    pieces = find_piece_of_nodes(mesh)
+    cells = locate(mesh, points).cells
+    nearest_node = build_tree(mesh.nodes).query(points)[1]
+    piece_of_point = np.where(cells >= 0, find_pieces(mesh)[cells], pieces[nearest_node])
+    values, maps, from_piece = _fit_pieces(mesh, pieces, points, displacement, piece_of_point)
+    for piece, of_piece in maps.items():
+        own, places = piece_of_point == piece, mesh.nodes[from_piece == piece]
+        rest = displacement[own] - of_piece.at(points[own])
+        if np.abs(rest).max() > EXACT * max(1.0, float(np.abs(displacement[own]).max())):
+            values[from_piece == piece] += interpolate_robustly(points[own], rest, places)
+    return ExtendedField(values, int(pieces.max()) + 1 - len(maps))
+
+
 def extrapolate(mesh: Mesh, displacement: Array, known: BoolArray) -> ExtendedField:
     """Extrapolate a displacement, (n_nodes, 2), pixels, from the nodes at which it is known, at least one.
 
@@ -234,22 +263,27 @@ def extrapolate(mesh: Mesh, displacement: Array, known: BoolArray) -> ExtendedFi
     edges: rotations and homogeneous strains are extrapolated exactly. Where it is known it stays as given; elsewhere it
     is not looked at. The mesh is perhaps cut by lines.
     """
-    values = np.where(known[:, None], displacement, 0.0)
     pieces = find_piece_of_nodes(mesh)
-    maps: dict[int, AffineMap] = {}
-    for piece in np.unique(pieces[known]):
-        own = known & (pieces == piece)
-        maps[int(piece)] = fit_affine_map(mesh.nodes[own], displacement[own])
-    places = np.flatnonzero(known)
-    nearest = places[build_tree(mesh.nodes[known]).query(mesh.nodes)[1]]
-    from_piece = np.where(np.isin(pieces, list(maps)), pieces, pieces[nearest])
-    background = np.empty_like(values)
-    for piece, of_piece in maps.items():
-        members = from_piece == piece
-        background[members] = of_piece.at(mesh.nodes[members])
-    values[~known] = background[~known]
-    values += _balance(mesh, np.where(known[:, None], values - background, 0.0), known)
-    return ExtendedField(values, len(np.unique(pieces)) - len(maps))
+    background, maps, _ = _fit_pieces(mesh, pieces, mesh.nodes[known], displacement[known], pieces[known])
+    values = np.where(known[:, None], displacement, background)
+    values += _balance(mesh, values - background, known)
+    return ExtendedField(values, int(pieces.max()) + 1 - len(maps))
+
+
+def _fit_pieces(mesh: Mesh, pieces: IntArray, points: Array, displacement: Array,
+                piece_of_point: IntArray) -> tuple[Array, dict[int, AffineMap], IntArray]:
+    """Displacement of nodes by affine maps of displacements at points, one of each piece that holds some, and the maps.
+
+    ``pieces`` are those of the nodes. Beside it the piece whose map each node follows: its own, or the nearest.
+    """
+    nearest = build_tree(points).query(mesh.nodes)[1]
+    from_piece = np.where(np.isin(pieces, piece_of_point), pieces, piece_of_point[nearest])
+    maps, values = {}, np.empty_like(mesh.nodes)
+    for piece in np.unique(piece_of_point).tolist():
+        own, members = piece_of_point == piece, from_piece == piece
+        maps[piece] = fit_affine_map(points[own], displacement[own])
+        values[members] = maps[piece].at(mesh.nodes[members])
+    return values, maps, from_piece
 
 
 def _balance(mesh: Mesh, prescribed: Array, known: BoolArray) -> Array:

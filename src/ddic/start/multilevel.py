@@ -3,53 +3,30 @@
 The first is that of [RHR08, section 3.2], the pyramid that of [BP17, section 3.2.2], features are our own.
 
 Runs on one rank, on images binned so far that they are small whatever the camera; every other rank receives the coarse
-field. What surrounds a small region is looked at in smaller blocks. A level of the pyramid is R-DIC on a square grid
-over binned images.
+field. A level of the pyramid is R-DIC on a square grid over binned images. From a displacement that is given the
+pyramid needs some of its levels, or none; a frame that jumps needs it moved on by a translation first.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ddic.arrays import Array, IntArray
 from ddic.case.schema import StartSection
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.images.binned import bin_image, bin_window, join_blocks
-from ddic.images.rigid import RigidShift, build_uniform_field
-from ddic.images.window import Window
+from ddic.images.rigid import GridField, RigidShift, build_uniform_field
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import rasterize
 from ddic.solvers.correction_size import Tolerances
-from ddic.start.binned_pair import (
-    CELL,
-    BinnedPair,
-    build_grid,
-    choose_block_sizes,
-    choose_finest_block,
-    choose_rigid_block,
-    find_active_blocks,
-    find_finest_level,
-    scale_mesh,
-)
-from ddic.start.coarse_displacement import (
-    CoarseField,
-    CutField,
-    KeptResult,
-    cut_level,
-    evaluate_at_nodes,
-    move_field,
-    move_mesh,
-    scale_to_pixels,
-)
+from ddic.start.binned_pair import CELL, BinnedPair, build_grid, choose_block_sizes, choose_rigid_block, move_mesh
+from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, cut_level, evaluate_at_nodes, move_field
 from ddic.start.feature_matches import MatchedField, find_pieces, match_features
 from ddic.start.independent import Images, correlate_alone
-from ddic.start.predicted_error import predict_error
-from ddic.start.rigid_start import RigidStart, find_rigid_start
+from ddic.start.predicted_error import PredictedError, predict_error
+from ddic.start.rigid_start import RigidStart, find_rigid_start, move_on
 
 CUT_OFF = 4.0 * CELL
 """Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
@@ -70,19 +47,19 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField],
     ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError where the blocks do not determine the
     displacement.
     """
-    region = scale_mesh(mesh, pair.factor)
-    active = find_active_blocks(pair.reference, rasterize(region))
+    region = pair.scale(mesh)
+    active = pair.find_active(region)
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = build_grid(region, active)
     cells = cut_level(grid.mesh, discontinuities.scale(pair.centre, pair.factor), active, DEGREE)
-    in_pixels = scale_to_pixels(cells.mesh, pair.factor)
+    in_pixels = pair.scale_to_pixels(cells.mesh)
     candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
     images = Images(pair.reference, pair.deformed, active, DEGREE, correction)
     where = f"pyramid level with blocks of {pair.factor} px"
     displacement = correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where)
     if cells.mesh.parts is None:
-        return grid.make_field(displacement, pair.factor)
+        return grid.make_field(displacement, pair)
     return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
 
 
@@ -101,32 +78,29 @@ FEWEST_SQUARES = 30
 MOST_UNEXPLAINED = 0.02
 """Share of the region that need not be explained there. A larger value overlooks larger parts that move otherwise."""
 
-MARGIN = 0.5
-"""What is seen around the region, times its longer side: it may turn by any angle about its middle, and grow by two
-thirds beside what the translation takes. A larger value finds larger motions, in larger blocks."""
+RIGHT_PX = 1.0
+"""Error, pixels, up to which a displacement is taken as it is: Gauss-Newton goes on from there. A larger value saves
+searches, and fails where the speckles are small."""
 
+WRONG_SHARE = 0.02
+"""Share of the region that may be off by more. A larger value overlooks small pieces that moved by themselves."""
 
-@dataclass(frozen=True)
-class LinesOnLevels:
-    """Lines across which the displacement may be discontinuous, and from which level on [RHR08, section 3.2].
+OUT_OF_REACH = 0.1
+"""Share of the region that may be out of the reach of the level with which the pyramid begins. A larger value leaves
+out levels that a part of the region needs."""
 
-    Attributes
-    ----------
-    discontinuities : Discontinuities
-        Pixels.
-    largest_block : float
-        Side, pixels, of the largest blocks on which displacements are discontinuous.
-    """
+BETTER = 0.9
+"""Largest part of what a given displacement leaves (1 less its correlation coefficient) that another one may leave to
+be taken in its place. A larger value replaces good displacements by coarse ones."""
 
-    discontinuities: Discontinuities
-    largest_block: float
+NOTE_IN_REACH = "start: the pyramid goes on from it"
 
-    def choose_lines(self, size: int) -> Discontinuities:
-        """Give the lines of a level with blocks of ``size`` pixels: all, or none."""
-        return self.discontinuities if size <= self.largest_block else Discontinuities()
+NOTE_OUT_OF_REACH = ("start: neither the given displacement nor a translation is in reach of a level of the pyramid; "
+                     "all levels are taken, from the best of them")
 
+NOTE_OF_FEATURES = "start: features match; the given displacement is not used"
 
-NO_LINES = LinesOnLevels(Discontinuities(), np.inf)
+NO_LINES = Discontinuities()
 
 
 @dataclass(frozen=True)
@@ -158,6 +132,23 @@ class MultilevelStart:
     n_found: int = 0
     notes: tuple[str, ...] = ()
 
+    def require_field(self) -> CoarseField:
+        """Give the field; raises TypeError where that is an earlier result, which is looked up instead."""
+        if isinstance(self.field, KeptResult):
+            raise TypeError("an earlier result that is kept is looked up where it is needed")
+        return self.field
+
+    def describe(self) -> tuple[str, ...]:
+        """Say for the log how it was found."""
+        shifts = [f"start: rigid shift ({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient "
+                  f"{found.coefficient:.3f}" for found in self.rigid]
+        lines = [*self.notes, *shifts, *self.warnings]
+        if self.n_matches:
+            lines.append(f"start: {self.n_matches} of {self.n_found} matched features agree with their neighbours")
+        if self.levels:
+            lines.append(f"start: pyramid on blocks of {', '.join(map(str, self.levels))} px")
+        return tuple(lines)
+
 
 @dataclass(frozen=True, eq=False)
 class Pyramid:
@@ -171,14 +162,17 @@ class Pyramid:
         The whole mesh, pixels.
     correction : GreyCorrection
         Of grey levels.
-    lines : LinesOnLevels
-        Discontinuities of the displacement.
+    discontinuities : Discontinuities
+        Lines across which the displacement may be discontinuous, pixels.
+    largest_block : float
+        Side, pixels, of the largest blocks on which it is [RHR08, section 3.2].
     """
 
     pair: BinnedPair
     mesh: Mesh
     correction: GreyCorrection
-    lines: LinesOnLevels = NO_LINES
+    discontinuities: Discontinuities = NO_LINES
+    largest_block: float = np.inf
 
     @cached_property
     def sizes(self) -> list[int]:
@@ -198,18 +192,18 @@ class Pyramid:
     @cached_property
     def pairs(self) -> dict[int, BinnedPair]:
         """Both images at all block sizes."""
-        return _binned_pairs(self.pair, [*self.sizes, self.rigid_size])
+        return self.pair.bin_at_sizes([*self.sizes, self.rigid_size])
 
     @property
     def _n_pixels(self) -> int:
-        return self.pair.n_blocks * self.pair.factor**2
+        return int(self.pair.size.prod()) * self.pair.factor**2
 
     def find_rigid(self) -> RigidStart:
         """Find the translation of the region, and of each piece that lines cut it into.
 
         It is at rest, with a warning, where nothing stands out.
         """
-        return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.lines.discontinuities)
+        return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.discontinuities)
 
     def choose_levels_after(self, translation: CoarseField) -> list[int]:
         """Choose the levels that refine a translation, where it explains the whole region on the coarsest of them.
@@ -218,7 +212,7 @@ class Pyramid:
         """
         for size in self.sizes:
             if self.finest_size < size <= LARGEST_FOLLOWED * self.finest_size:
-                predicted = predict_error(self.pairs[size], self.mesh, translation.at)
+                predicted = self.predict(size, translation)
                 is_told = len(predicted.n_blocks) >= FEWEST_SQUARES
                 if is_told and predicted.measure_share_beyond(np.inf) <= MOST_UNEXPLAINED:
                     return [level for level in self.sizes if level <= size]
@@ -227,33 +221,39 @@ class Pyramid:
     @cached_property
     def matched(self) -> MatchedField | None:
         """A field through features that were found again; None where they do not agree with each other."""
-        region = cut_mesh(self.mesh, self.lines.discontinuities.lines).mesh
+        region = cut_mesh(self.mesh, self.discontinuities.lines).mesh
         pieces = find_pieces(region)
         matches = match_features(self.pairs[min(self.pairs)], region, pieces)
         return MatchedField(matches, region, pieces) if matches.agree else None
 
-    def correlate(self, sizes: Sequence[int], starts: Sequence[CoarseField], beside: Sequence[CoarseField],
-                  ) -> tuple[CoarseField, tuple[int, ...], tuple[str, ...]]:
+    def predict(self, size: int, field: CoarseField) -> PredictedError:
+        """Predict the error of a field in blocks of ``size`` pixels."""
+        return predict_error(self.pairs[size], self.mesh, field.at)
+
+    def correlate(self, sizes: Sequence[int], starts: Sequence[CoarseField],
+                  beside: Sequence[CoarseField]) -> MultilevelStart:
         """Correlate levels of some block sizes, coarsest first, each from what the one before found.
 
-        Gives the field of the finest level that worked, or the first start, the block sizes of the levels that worked,
-        and what did not work.
+        Gives the field of the finest level that worked, or the first start.
 
         The best of ``starts``, at least one, starts the first level. ``beside`` is what a level may start from beside
         what the one before found: a coarse level of a ragged region may have gone astray, and the residual of the next
         one tells.
         """
-        done, warnings = [], []
+        first, done, warnings = starts[0], [], []
         for size in sizes:
+            lines = self.discontinuities if size <= self.largest_block else NO_LINES
             try:
-                field = correlate_level(self.pairs[size], self.mesh, starts, self.correction,
-                                        self.lines.choose_lines(size))
+                field = correlate_level(self.pairs[size], self.mesh, starts, self.correction, lines)
             except (ConvergenceError, SingularSubdomainError) as error:
                 warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
             else:
                 starts = (field, *beside)
                 done.append(size)
-        return starts[0], tuple(done), tuple(warnings)
+        found = MultilevelStart(starts[0], levels=tuple(done), warnings=tuple(warnings))
+        if isinstance(first, MatchedField):
+            return replace(found, n_matches=len(first.matches.points), n_found=first.matches.n_found)
+        return found
 
 
 def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
@@ -261,7 +261,8 @@ def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelS
     sizes = pyramid.sizes if stages.pyramid else []
     at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), 1.0, ())
     rigid_start = pyramid.find_rigid() if stages.rigid else at_rest
-    matched, warnings, starts = None, rigid_start.warnings, rigid_start.fields
+    matched, warnings = None, rigid_start.warnings
+    starts: tuple[CoarseField, ...] = rigid_start.fields
     if stages.features and rigid_start.coefficient < SURE:
         followed = pyramid.choose_levels_after(starts[0]) if sizes and rigid_start.translations else []
         finer = None if followed else _search_surroundings(pyramid, rigid_start, stages)
@@ -271,26 +272,25 @@ def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelS
     if matched is not None:
         # From there the finest level finds everything, and coarser ones would smooth it.
         starts, sizes, warnings = (matched, *starts), sizes[-1:], ()
-    field, levels, left_out = pyramid.correlate(sizes, starts, rigid_start.fields)
-    n_matches, n_found = (0, 0) if matched is None else (len(matched.matches.points), matched.matches.n_found)
-    return MultilevelStart(field, rigid_start.translations, levels, (*warnings, *left_out), n_matches, n_found)
+    found = pyramid.correlate(sizes, starts, rigid_start.fields)
+    return replace(found, rigid=rigid_start.translations, warnings=(*warnings, *found.warnings))
 
 
 def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:
     """The same in smaller blocks of what surrounds a small region; None where they are no smaller or show nothing."""
     pixels = pyramid.pair.pixels
-    if pixels is None or not can_bin_finer(pixels, pyramid.mesh):
+    if pixels is None or not pixels.can_bin_finer(pyramid.mesh):
         return None
     translation = np.zeros(2)
     if rigid_start.translations:
         translation = np.array(rigid_start.translations[0].shift)
     elif pyramid.matched is not None:
         translation = pyramid.matched.matches.displacement.mean(axis=0)
-    seen = bin_surroundings(pixels, pyramid.mesh, translation)
-    lines = replace(pyramid.lines, discontinuities=pyramid.lines.discontinuities.scale(seen.origin, 1.0))
-    mesh = move_mesh(pyramid.mesh, -seen.origin)
+    seen = pixels.bin_surroundings(pyramid.mesh, translation)
+    moved = replace(pyramid, pair=seen.pair, mesh=move_mesh(pyramid.mesh, -seen.origin),
+                    discontinuities=pyramid.discontinuities.scale(seen.origin, 1.0))
     try:
-        found = find_multilevel_start(Pyramid(seen.pair, mesh, pyramid.correction, lines), stages)
+        found = find_multilevel_start(moved, stages)
     except ConvergenceError:
         # What repeats itself in smaller blocks may not on the whole image.
         return None
@@ -298,75 +298,88 @@ def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Star
         return None
     rigid = tuple(replace(one, shift=(one.shift[0] + seen.translation[0], one.shift[1] + seen.translation[1]))
                   for one in found.rigid)
-    return replace(found, field=move_field(found.field, seen.origin, seen.translation), rigid=rigid,
+    return replace(found, field=move_field(found.require_field(), seen.origin, seen.translation), rigid=rigid,
                    notes=(seen.describe(), *found.notes))
 
 
-def _binned_pairs(pair: BinnedPair, sizes: Iterable[int]) -> dict[int, BinnedPair]:
-    """Both images at all block sizes (powers of 2), each binned from the one before."""
-    pairs: dict[int, BinnedPair] = {}
-    finer = pair
-    for size in sorted(set(sizes)):
-        ratio = size // finer.factor
-        finer = BinnedPair(bin_image(finer.reference, ratio), bin_image(finer.deformed, ratio), size)
-        pairs[size] = finer
-    return pairs
-
-
 @dataclass(frozen=True, eq=False)
-class Surroundings:
-    """Parts of both images, of the same size, that show a region and what is around it.
+class _Candidate:
+    """A displacement that may be gone on from, what the log says where it is, and translations from rest to it."""
 
-    Attributes
-    ----------
-    pair : BinnedPair
-        The parts, positions counted from where each begins.
-    origin, translation : (2,) array
-        Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
+    field: GridField | CutField
+    note: str
+    rigid: tuple[RigidShift, ...] = ()
+
+
+def find_start_from_given(given: CutField, pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
+    """Find a coarse field from a displacement that is given on the mesh of the region.
+
+    Where the images bear it out, nothing is searched; where it is in reach of the finest level, that one follows. Else
+    it is moved on by a translation; where neither explains the images, nor a translation from rest, features are
+    matched; then come the levels of the pyramid in whose reach the best of them is. A displacement that explains the
+    images worse than a start from nothing does is not used. The field is ``given`` itself where it is kept.
     """
+    predicted = pyramid.predict(pyramid.finest_size, given)
+    share = predicted.measure_share_beyond(RIGHT_PX)
+    if share <= WRONG_SHARE:
+        return MultilevelStart(given)
+    begun = (f"start: that is off by more than {RIGHT_PX:g} px on {share:.0%} of the region (correlation coefficient "
+             f"{predicted.coefficient:.2f}); searching on")
+    is_in_reach = predicted.measure_share_beyond(np.inf) <= WRONG_SHARE
+    # Then nothing else is looked at: on a repetitive texture another translation would look as good.
+    sizes = pyramid.sizes[-1:] if stages.pyramid and is_in_reach else []
+    found = replace(pyramid.correlate(sizes, [given], [given]), notes=(NOTE_IN_REACH,))
+    if not found.levels:
+        found = _search_on(given, pyramid, stages)
+    field = found.require_field()
+    if not isinstance(field, GridField | CutField):
+        # At nodes once, for others take long at points.
+        field = CutField(given.mesh, field.interpolate_at_nodes(given.mesh))
+    left = 1 - pyramid.predict(pyramid.finest_size, field).coefficient
+    if left > BETTER * (1 - predicted.coefficient):
+        kept = "start: nothing was found that explains the images better; the given displacement is kept"
+        return MultilevelStart(given, warnings=found.warnings, notes=(begun, kept))
+    return replace(found, notes=(begun, *found.notes))
 
-    pair: BinnedPair
-    origin: Array
-    translation: Array
 
-    def describe(self) -> str:
-        """Say for the log what is looked at."""
-        x, y = self.origin
-        width, height = (n * self.pair.factor for n in (self.pair.reference.image.width,
-                                                        self.pair.reference.image.height))
-        return (f"start: the region and what surrounds it, {width} x {height} px from ({x:.0f}, {y:.0f}) px on, in "
-                f"blocks of {self.pair.factor} px")
-
-
-def can_bin_finer(pixels: BinnedPair, mesh: Mesh) -> bool:
-    """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on whole images."""
-    size = _find_size(pixels)
-    return find_finest_level(int(_find_extent(size, mesh).prod())) < find_finest_level(int(size.prod()))
+def _search_on(given: CutField, pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
+    """The best that is found from a given displacement, that moved on, and rest."""
+    candidates = _list_candidates(given, pyramid, stages)
+    sizes, best, is_in_reach = _choose_levels(pyramid, candidates)
+    beside = [candidate.field for candidate in candidates]
+    sizes = sizes if stages.pyramid else []
+    matches = stages.rigid and stages.features and pyramid.predict(pyramid.rigid_size, best.field).coefficient < SURE
+    if matches and pyramid.matched is not None:
+        found = pyramid.correlate(sizes[-1:], [pyramid.matched, *beside], beside)
+        return replace(found, notes=(NOTE_OF_FEATURES,))
+    found = pyramid.correlate(sizes, [best.field] if is_in_reach else [best.field, *beside], beside)
+    return replace(found, rigid=best.rigid, notes=(best.note if is_in_reach else NOTE_OUT_OF_REACH,))
 
 
-def bin_surroundings(pixels: BinnedPair, mesh: Mesh, translation: Array) -> Surroundings:
-    """Bin what surrounds a region, in blocks as small as those of an image of that size.
+def _list_candidates(given: CutField, pyramid: Pyramid, stages: StartSection) -> list[_Candidate]:
+    """What may be gone on from; what is given first, so that it wins where nothing is better."""
+    candidates = [_Candidate(given, NOTE_IN_REACH)]
+    if not stages.rigid:
+        return candidates
+    rigid = pyramid.find_rigid()
+    for moved in move_on(given, pyramid.pairs[pyramid.rigid_size]):
+        by = ", ".join(f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient "
+                       f"{found.coefficient:.3f}" for found in moved.translations)
+        candidates.append(_Candidate(moved.field, f"start: the given displacement moved on by {by}"))
+    worse = "start: the given displacement explains the images worse than a start from nothing does, and is not used"
+    return candidates + [_Candidate(field, worse, rigid.translations) for field in rigid.fields]
 
-    ``translation``, (2,), pixels, is about that of the region.
+
+def _choose_levels(pyramid: Pyramid, candidates: Sequence[_Candidate]) -> tuple[list[int], _Candidate, bool]:
+    """The finest level in whose reach a candidate is, and those below it, coarsest first; all where none is.
+
+    Beside them the candidate that is best on the first of them, or on the coarsest, and whether it is in reach.
     """
-    size = _find_size(pixels)
-    extent = _find_extent(size, mesh)
-    factor = choose_finest_block(int(extent.prod()))
-    extent -= extent % factor
-    middle = (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0)) / 2
-    origin, moved = (np.clip(np.rint(place - extent / 2).astype(int), 0, size - extent)
-                     for place in (middle, middle + translation))
-    parts = [join_blocks(source, [bin_window(source, factor, Window.between(begin, begin + extent))])
-             for source, begin in ((pixels.reference, origin), (pixels.deformed, moved))]
-    return Surroundings(BinnedPair(parts[0], parts[1], factor), origin.astype(float), (moved - origin).astype(float))
-
-
-def _find_size(pixels: BinnedPair) -> IntArray:
-    """Width and height of both images, pixels."""
-    return np.array([pixels.reference.image.width, pixels.reference.image.height])
-
-
-def _find_extent(size: IntArray, mesh: Mesh) -> IntArray:
-    """Width and height of what is seen of an image, pixels."""
-    sides = np.ptp(mesh.nodes, axis=0)
-    return np.minimum(np.ceil(sides + 2 * MARGIN * sides.max()).astype(int), size)
+    best = candidates[0]
+    for size in reversed(pyramid.sizes or [pyramid.finest_size]):
+        predicted = [pyramid.predict(size, candidate.field) for candidate in candidates]
+        number = int(np.argmax([of_one.coefficient for of_one in predicted]))
+        best = candidates[number]
+        if predicted[number].measure_share_beyond(np.inf) <= OUT_OF_REACH:
+            return [level for level in pyramid.sizes if level <= size], best, True
+    return pyramid.sizes, best, False

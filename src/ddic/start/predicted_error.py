@@ -4,13 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.raster import rasterize
-from ddic.start.binned_pair import CELL, BinnedPair, find_active_blocks, scale_mesh
+from ddic.start.binned_pair import CELL, BinnedPair
 
 IN_REACH = 0.5
 """Correlation coefficient of a square of blocks from which on its error can be predicted, and Gauss-Newton follows it.
@@ -67,7 +66,7 @@ def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Arra
     are its own; squares without texture are left out. Errors hold up to a part of a speckle, or of a block where that
     is larger.
     """
-    active = find_active_blocks(pair.reference, rasterize(scale_mesh(mesh, pair.factor)))
+    active = pair.find_active(pair.scale(mesh))
     rows, columns = np.nonzero(active)
     if not rows.size:
         return PredictedError(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -112,8 +111,8 @@ def _sample(deformed: MaskedSource, places: Array) -> Array:
     """Grey levels of the deformed image at places, and their slopes there along x and y, a block: (3, n)."""
     values = deformed.read_whole()
     along_y, along_x = np.gradient(values)
-    grey = ndimage.map_coordinates(values, places, order=3, mode="nearest")
-    slopes = [ndimage.map_coordinates(slope, places, order=1, mode="nearest") for slope in (along_x, along_y)]
+    grey = scipy.ndimage.map_coordinates(values, places, order=3, mode="nearest")
+    slopes = [scipy.ndimage.map_coordinates(slope, places, order=1, mode="nearest") for slope in (along_x, along_y)]
     return np.stack([grey, *slopes])
 
 

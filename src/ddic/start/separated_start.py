@@ -1,6 +1,7 @@
 """Where corrections of a separated displacement begin: the coarse field, or an earlier result, as products."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ddic.parallel.team import require_held
 from ddic.problem.separated_problem import SeparatedProblem
 from ddic.separated.field import LineElements, SeparatedField, factorize_grid, scale_modes
 from ddic.start.coarse_displacement import KeptResult
-from ddic.start.coarse_field import CoarseSearch, describe_start, prepare_search
+from ddic.start.coarse_field import CoarseSearch, prepare_search
 from ddic.start.given_start import EarlierResult, GivenStart
 from ddic.start.multilevel import MultilevelStart
 
@@ -29,20 +30,18 @@ MOST_LINES = 129
 looked up."""
 
 
-def factorize_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> tuple[SeparatedField, tuple[str, ...]]:
-    """Write a coarse field as products on the rectangle's elements, with notes how it was found.
+def factorize_coarse_field(found: MultilevelStart, rectangle: Rectangle) -> SeparatedField:
+    """Write a coarse field as products on the rectangle's elements.
 
     Interpolation between the nodes of its grid is a product itself, so that nothing is lost but small modes. Raises
-    TypeError where the field is an earlier result's.
+    TypeError where the field is an earlier result's, which has products of its own or is looked up.
     """
-    grid = found.field
-    if isinstance(grid, KeptResult):
-        raise TypeError("an earlier result that is kept has products of its own, or is looked up")
+    grid = found.require_field()
     if not isinstance(grid, GridField):
-        return _factorize_values(grid.at, rectangle), tuple(describe_start(found))
+        return _factorize_values(grid.at, rectangle)
     x = _evaluate_hats(rectangle.along_x.nodes, grid.origin[0], grid.spacing[0], grid.values.shape[1])
     y = _evaluate_hats(rectangle.along_y.nodes, grid.origin[1], grid.spacing[1], grid.values.shape[0])
-    return _decompose(grid.values, x, y, rectangle), tuple(describe_start(found))
+    return _decompose(grid.values, x, y, rectangle)
 
 
 def _factorize_values(evaluate: Callable[[Array], Array], rectangle: Rectangle) -> SeparatedField:
@@ -98,19 +97,17 @@ def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame:
     if isinstance(begin, SeparatedField):
         return begin, ("start: an earlier frame",)
     if begin is not None:
-        search = search.start_from(begin)
+        search = replace(search, given=begin)
     team, rectangle = problem.team, problem.rectangle
     found = require_held(search.share(team.together(search.prepare(frame))))[0]
     kept = found.field
     if isinstance(kept, KeptResult):
-        earlier = search.given
-        return team.on_root(lambda: _convert(earlier, kept, rectangle)), tuple(describe_start(found))
-    return team.together(lambda: factorize_coarse_field(found, rectangle))
+        return team.on_root(lambda: _convert(search.require_result(), kept, rectangle)), found.describe()
+    return team.together(lambda: factorize_coarse_field(found, rectangle)), found.describe()
 
 
-def _convert(earlier: GivenStart | None, kept: KeptResult, rectangle: Rectangle) -> SeparatedField:
-    if not isinstance(earlier, EarlierResult):
-        raise TypeError("only an earlier result is kept")
+def _convert(earlier: EarlierResult, kept: KeptResult, rectangle: Rectangle) -> SeparatedField:
+    """Products of an earlier result: its own, or of what it says at points."""
     result, beyond = earlier.result, kept.beyond
     if result.separated is not None and beyond is None:
         along_x, along_y, products = rectangle.along_x, rectangle.along_y, result.separated
