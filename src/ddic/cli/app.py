@@ -119,12 +119,12 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.command("ddic", cls=LazyGroup)
+@click.command("ddic", cls=LazyGroup, context_settings={"show_default": True})
 @click.version_option(__version__, prog_name="ddic")
 def command_line() -> None:
     """Finite element digital image correlation by dual domain decomposition over MPI."""
 
 
-frame_option = click.option("--frame", type=click.IntRange(1), default=None, metavar="N",
+frame_option = click.option("--frame", type=click.IntRange(1), metavar="N",
                             help="Frame of a series that is taken, by its number.")
 """Of a command that has a parameter ``frame`` (int or None)."""

@@ -22,9 +22,9 @@ Lines = list[tuple[str, str]]
 @click.argument("near", metavar="NEAR", type=click.Path(path_type=Path))
 @click.option("--ratio", type=float, required=True, help="Near px per far px, right within 15 %.")
 @click.option("--model", type=click.Choice(["translation", "similarity", "homography"]), default="homography",
-              show_default=True, help="What is solved for; a translation keeps the ratio as given.")
+              help="What is solved for; a translation keeps the ratio as given.")
 @click.option("--distortion", is_flag=True, help="Also solve for the near camera's radial distortion k1.")
-@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), default=None,
+@click.option("--output", type=click.Path(dir_okay=False, path_type=Path),
               help="Mapping file for near.mapping_file of a case.")
 def calibrate_near(far: Path, near: Path, ratio: float, model: Kind, distortion: bool, output: Path | None) -> None:
     """Find the mapping from the far to the near reference image of one specimen, and its uncertainty.

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
 @frame_option
-@click.option("--line", type=int, default=1, show_default=True, help="Number of the discontinuity in the case.")
-@click.option("--tip", type=float, nargs=2, default=None, help="Where the tip may be, px; by default the line's end.")
-@click.option("--inner", type=float, default=None, help="Radius about the tip within which nothing counts, px.")
-@click.option("--outer", type=float, default=None, help="Radius about the tip up to which cells count, px.")
-@click.option("--poisson-ratio", type=click.FloatRange(0.0, 0.5), default=0.3, show_default=True, help="nu.")
-@click.option("--plane", type=click.Choice(["stress", "strain"]), default="stress", show_default=True,
+@click.option("--line", type=int, default=1, help="Number of the discontinuity in the case.")
+@click.option("--tip", type=float, nargs=2, help="Where the tip may be, px; by default the line's end.")
+@click.option("--inner", type=float, help="Radius about the tip within which nothing counts, px.")
+@click.option("--outer", type=float, help="Radius about the tip up to which cells count, px.")
+@click.option("--poisson-ratio", type=click.FloatRange(0.0, 0.5), default=0.3, help="nu.")
+@click.option("--plane", type=click.Choice(["stress", "strain"]), default="stress",
               help="Plane stress or plane strain.")
-@click.option("--shear-modulus", type=click.FloatRange(0.0, min_open=True), default=None,
+@click.option("--shear-modulus", type=click.FloatRange(0.0, min_open=True),
               help="mu in any unit of stress: factors are printed in it too, with the pixel size of the case.")
 def crack(file: Path, frame: int | None, line: int, tip: tuple[float, float] | None, inner: float | None,
           outer: float | None, poisson_ratio: float, plane: Literal["stress", "strain"],
@@ -72,7 +72,7 @@ def _lines(found: CrackTip, shear_modulus: float | None, pixel_size: float, unit
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
 @frame_option
-@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False),
               help="Table to write; by default RESULT.opening.csv beside it, RESULT.frame_N.opening.csv of a frame.")
 def opening(file: Path, frame: int | None, output: Path | None) -> None:
     """Write the opening of a result's discontinuities, pixel by pixel along them, as a CSV table.

@@ -218,10 +218,10 @@ def _format_number(value: float | None, form: str) -> str:
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
-@click.option("--image", type=click.Path(path_type=Path), default=None,
+@click.option("--image", type=click.Path(path_type=Path),
               help="Reference image; by default the one named in the result, if it is still there.")
 @frame_option
-@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False),
               help="Page to write; by default RESULT.report.html beside it.")
 def report(file: Path, image: Path | None, frame: int | None, output: Path | None) -> None:
     """Write one self-contained HTML page on a result: fields, residual, convergence, what guides ask to be stated.

@@ -31,15 +31,14 @@ if TYPE_CHECKING:
                    "degrees from x towards y.")
 @click.option("--extensometer", "extensometers", multiple=True, metavar="X0,Y0,X1,Y1",
               help="Engineering strain of the distance of two points.")
-@click.option("--probes", "file", type=click.Path(path_type=Path), default=None,
+@click.option("--probes", "file", type=click.Path(path_type=Path),
               help="TOML file of named probes: [point.A], [line.B], [gauge.C], [extensometer.D].")
 @click.option("--measure", type=click.Choice(["infinitesimal", "green-lagrange", "hencky"]), default="infinitesimal",
-              show_default=True, help="Strain tensor of xx, yy and xy.")
-@click.option("--noise", type=click.FloatRange(min=0, min_open=True), default=None, metavar="PX",
+              help="Strain tensor of xx, yy and xy.")
+@click.option("--noise", type=click.FloatRange(min=0, min_open=True), metavar="PX",
               help="Standard deviation of a component of the nodes' displacements, of a static pair for instance; by "
                    "default what the results record.")
-@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Table to write.")
+@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), help="Table to write.")
 def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ...], gauges: tuple[str, ...],
           extensometers: tuple[str, ...], file: Path | None,
           measure: Literal["infinitesimal", "green-lagrange", "hencky"], noise: float | None,
@@ -123,9 +122,9 @@ def _write(value: float, how: str = "g") -> str:
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
 @frame_option
-@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT (and "
-                   "its frame), beside it.")
+@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False),
+              help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT (and its frame), "
+                   "beside it.")
 def export(file: Path, frame: int | None, table: Path | None) -> None:
     """Write all fields of a result as two CSV tables, a row for each node and for each cell, units in the headers."""
     # Imported here because HDF5 is not needed by --help.

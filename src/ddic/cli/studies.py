@@ -26,11 +26,11 @@ LOG_WIDTH = 160
 
 @click.command()
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
-@click.option("--lengths", default=None, metavar="L,L,...",
+@click.option("--lengths", metavar="L,L,...",
               help="Cut-off wavelengths, px; 0 for no regularization.  [default: none and nine about the case's own]")
-@click.option("--elements", default=None, metavar="H,H,...",
+@click.option("--elements", metavar="H,H,...",
               help="Sizes of the elements of a structured mesh, px.  [default: five about the case's own]")
-@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False),
               help="Folder of the table and the figure; by default that of CASE.toml.")
 def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Path | None) -> None:
     """Recommend a cut-off wavelength and an element size; alone or under mpirun.
@@ -148,12 +148,11 @@ def _print_table(found: Sweep) -> None:
 
 @click.command()
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
-@click.option("--sizes", default="8,16,32,64", show_default=True, help="Sizes of the elements, px.")
-@click.option("--displacements", type=click.IntRange(2), default=11, show_default=True,
-              help="Number of displacements from 0 to 1 px.")
-@click.option("--noise", type=click.FloatRange(0.0), default=0.0, show_default=True,
+@click.option("--sizes", default="8,16,32,64", help="Sizes of the elements, px.")
+@click.option("--displacements", type=click.IntRange(2), default=11, help="Number of displacements from 0 to 1 px.")
+@click.option("--noise", type=click.FloatRange(0.0), default=0.0,
               help="Standard deviation of noise that is added to both images, grey levels.")
-@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False),
               help="Folder of the table and the figure; by default that of CASE.toml.")
 def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, output: Path | None) -> None:
     """Measure known displacements of the case's reference image with continuous and with enriched elements.

@@ -62,14 +62,13 @@ def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
     ``size`` is the default of --size, ``files`` what --output will hold.
     """
     options = (
-        click.option("--size", callback=parse_size, default=size, show_default=True,
-                     metavar="WIDTHxHEIGHT", help="Size, pixels."),
-        click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8", show_default=True,
+        click.option("--size", callback=parse_size, default=size, metavar="WIDTHxHEIGHT", help="Size, pixels."),
+        click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8",
                      help="8 or 16 bit, or 32 for float values on the scale 0..255."),
-        click.option("--noise", type=float, default=0.0, show_default=True,
+        click.option("--noise", type=float, default=0.0,
                      help="Standard deviation of the noise of all images, 8-bit grey levels."),
-        click.option("--seed", type=int, default=0, show_default=True, help="Seed of speckle and noise."),
-        click.option("--speckle-size", type=float, default=1.0, show_default=True,
+        click.option("--seed", type=int, default=0, help="Seed of speckle and noise."),
+        click.option("--speckle-size", type=float, default=1.0,
                      help="Magnification of the speckle; 1 has spots of about 5 px."),
         click.option("--output", type=click.Path(file_okay=False, path_type=Path), required=True,
                      help=f"Folder for {files}."),
@@ -155,32 +154,29 @@ _FILES = "far_reference.tif, far_deformed.tif, near_reference.tif, near_deformed
 
 
 @click.command("near-far")
-@click.option("--ratio", type=float, default=5.0, show_default=True, help="Near pixels per far pixel.")
-@click.option("--near-center", type=float, nargs=2, default=None,
+@click.option("--ratio", type=float, default=5.0, help="Near pixels per far pixel.")
+@click.option("--near-center", type=float, nargs=2,
               help="Of the near field, x y, far px.  [default: beside the hole, its right edge inside]")
-@click.option("--near-angle", type=float, default=0.0, show_default=True,
+@click.option("--near-angle", type=float, default=0.0,
               help="Of the near picture against the far one, from x towards y, degrees.")
-@click.option("--tilt", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Of the near camera: how much farther, as a fraction, the specimen is at the near field's right "
-                   "and lower edge than at its centre.")
-@click.option("--alpha", type=float, nargs=2, default=(3.7, -2.2), show_default=True,
+@click.option("--tilt", type=float, nargs=2, default=(0.0, 0.0),
+              help="Of the near camera: how much farther, as a fraction, the specimen is at the near field's right and "
+                   "lower edge than at its centre.")
+@click.option("--alpha", type=float, nargs=2, default=(3.7, -2.2),
               help="Translation of the near set-up between its two pictures, far px.")
-@click.option("--rotation", type=float, default=0.0, show_default=True,
+@click.option("--rotation", type=float, default=0.0,
               help="Rotation of the near set-up between its two pictures, about the near field's centre, degrees.")
-@click.option("--center", type=float, nargs=2, default=None,
-              help="Of the hole, x y, far px.  [default: the far image's centre]")
-@click.option("--radius", type=float, default=None,
-              help="Of the hole, far px.  [default: a tenth of the far image's shorter side]")
-@click.option("--strain", type=float, default=0.005, show_default=True, help="Far-field stress over Young's modulus.")
-@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
-@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
+@click.option("--center", type=float, nargs=2, help="Of the hole, x y, far px.  [default: the far image's centre]")
+@click.option("--radius", type=float, help="Of the hole, far px.  [default: a tenth of the far image's shorter side]")
+@click.option("--strain", type=float, default=0.005, help="Far-field stress over Young's modulus.")
+@click.option("--poisson-ratio", type=float, default=0.3)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0),
               help="Rigid displacement of the specimen, far px.")
 @click.option("--size-far", callback=parse_size, metavar="WIDTHxHEIGHT", help="Of the far images.  [default: --size]")
-@click.option("--size-near", callback=parse_size, metavar="WIDTHxHEIGHT",
-              help="Of the near images.  [default: --size]")
-@click.option("--noise-far", type=float, default=None, help="Of the far images, grey levels.  [default: --noise]")
-@click.option("--noise-near", type=float, default=None, help="Of the near images, grey levels.  [default: --noise]")
-@click.option("--fine-share", type=float, default=0.4, show_default=True,
+@click.option("--size-near", callback=parse_size, metavar="WIDTHxHEIGHT", help="Of the near images.  [default: --size]")
+@click.option("--noise-far", type=float, help="Of the far images, grey levels.  [default: --noise]")
+@click.option("--noise-near", type=float, help="Of the near images, grey levels.  [default: --noise]")
+@click.option("--fine-share", type=float, default=0.4,
               help="Of the fine speckles in the near images' contrast, 0 to 1.")
 @add_image_options("1392x1040", _FILES)
 def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pair, alpha: Pair, rotation: float,
@@ -246,7 +242,7 @@ synth.add_command(near_far)
 
 
 @synth.command()
-@click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), show_default=True, help="u_x u_y, px.")
+@click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), help="u_x u_y, px.")
 @_pair_options
 def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
     """Move the whole image by one vector."""
@@ -256,11 +252,10 @@ def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
 
 
 @synth.command()
-@click.option("--gradient", type=float, nargs=4, default=(0.01, 0.0, 0.0, -0.003), show_default=True,
+@click.option("--gradient", type=float, nargs=4, default=(0.01, 0.0, 0.0, -0.003),
               help="du_x/dx du_x/dy du_y/dx du_y/dy.")
-@click.option("--vector", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Displacement of the centre, px.")
-@click.option("--center", type=float, nargs=2, default=None, help="x y, px.  [default: the image's centre]")
+@click.option("--vector", type=float, nargs=2, default=(0.0, 0.0), help="Displacement of the centre, px.")
+@click.option("--center", type=float, nargs=2, help="x y, px.  [default: the image's centre]")
 @_pair_options
 def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pair | None,
            **image: Unpack[ImageOptions]) -> None:
@@ -272,18 +267,12 @@ def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pa
 
 
 @synth.command()
-@click.option("--offset", type=float, nargs=2, default=(0.35, -0.25), show_default=True,
-              help="Mean of u_x and of u_y, px.")
-@click.option("--amplitude", type=float, nargs=2, default=(0.60, 0.50), show_default=True,
-              help="Of u_x and of u_y, px.")
-@click.option("--wavelength-x", type=float, nargs=2, default=(1024.0, 1280.0), show_default=True,
-              help="Of u_x along x and along y, px.")
-@click.option("--wavelength-y", type=float, nargs=2, default=(1280.0, 1024.0), show_default=True,
-              help="Of u_y along x and along y, px.")
-@click.option("--phase-x", type=float, nargs=2, default=(0.3, -0.2), show_default=True,
-              help="Of u_x along x and along y, rad.")
-@click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), show_default=True,
-              help="Of u_y along x and along y, rad.")
+@click.option("--offset", type=float, nargs=2, default=(0.35, -0.25), help="Mean of u_x and of u_y, px.")
+@click.option("--amplitude", type=float, nargs=2, default=(0.60, 0.50), help="Of u_x and of u_y, px.")
+@click.option("--wavelength-x", type=float, nargs=2, default=(1024.0, 1280.0), help="Of u_x along x and along y, px.")
+@click.option("--wavelength-y", type=float, nargs=2, default=(1280.0, 1024.0), help="Of u_y along x and along y, px.")
+@click.option("--phase-x", type=float, nargs=2, default=(0.3, -0.2), help="Of u_x along x and along y, rad.")
+@click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), help="Of u_y along x and along y, rad.")
 @_pair_options
 def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: Pair, phase_x: Pair,
                phase_y: Pair, **image: Unpack[ImageOptions]) -> None:
@@ -294,16 +283,12 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
 
 
 @synth.command()
-@click.option("--center", type=float, nargs=2, default=None,
-              help="Of the hole, x y, px.  [default: the image's centre]")
-@click.option("--radius", type=float, default=None,
-              help="Of the hole, px.  [default: a tenth of the shorter side]")
-@click.option("--strain", type=float, default=0.005, show_default=True,
-              help="Far-field stress over Young's modulus.")
-@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
-@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Rigid displacement added, px.")
-@click.option("--paint-hole/--no-paint-hole", "draw_hole", default=True, show_default=True,
+@click.option("--center", type=float, nargs=2, help="Of the hole, x y, px.  [default: the image's centre]")
+@click.option("--radius", type=float, help="Of the hole, px.  [default: a tenth of the shorter side]")
+@click.option("--strain", type=float, default=0.005, help="Far-field stress over Young's modulus.")
+@click.option("--poisson-ratio", type=float, default=0.3)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), help="Rigid displacement added, px.")
+@click.option("--paint-hole/--no-paint-hole", "draw_hole", default=True,
               help="Show the hole as a dark disc, or leave speckles in it.")
 @_pair_options
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
@@ -318,11 +303,10 @@ def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_rat
 
 
 @synth.command()
-@click.option("--curvature", type=float, default=1e-5, show_default=True, help="Of the neutral axis, 1/px.")
-@click.option("--center", type=float, nargs=2, default=None, help="x y, px.  [default: the image's centre]")
-@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
-@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Rigid displacement added, px.")
+@click.option("--curvature", type=float, default=1e-5, help="Of the neutral axis, 1/px.")
+@click.option("--center", type=float, nargs=2, help="x y, px.  [default: the image's centre]")
+@click.option("--poisson-ratio", type=float, default=0.3)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), help="Rigid displacement added, px.")
 @_pair_options
 def bending(curvature: float, center: Pair | None, poisson_ratio: float, translation: Pair,
             **image: Unpack[ImageOptions]) -> None:
