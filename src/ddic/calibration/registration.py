@@ -157,10 +157,9 @@ def register(far: GradientImage, near: NearImage, model: CameraModel, start: Arr
     """
     parameters = start
     corners = _corners(part)
-    seen: _Patch | None = None
     try:
         for iteration in range(1, _MAX_ITERATIONS + 1):
-            if seen is None or iteration <= _CHANGING_ITERATIONS:
+            if iteration <= _CHANGING_ITERATIONS:
                 seen = _find_visible(far.window, model.build_mapping(parameters), part)
             linear = _linearise(far, near, model, parameters, seen)
             correction = linear.solve()[:model.n_parameters]
@@ -183,8 +182,7 @@ def register(far: GradientImage, near: NearImage, model: CameraModel, start: Arr
 class _Patch:
     """Far pixels whose squares lie in a part of the near image: mask (rows, columns) of a window, points (n, 2)."""
 
-    rows: slice
-    columns: slice
+    window: Window
     mask: BoolArray
     points: Array
 
@@ -239,7 +237,7 @@ def _linearise(far: GradientImage, near: NearImage, model: CameraModel, paramete
     mapping = model.build_mapping(parameters)
     averages = near.average(mapping, seen.points)
     near_grey, near_gradient = averages[:, 0], averages[:, 1:]
-    inside = (seen.rows, seen.columns)
+    inside = far.window.locate(seen.window)
     far_grey, by_x, by_y = (values[inside][seen.mask].astype(np.float64)
                             for values in (far.values, far.by_x, far.by_y))
     # grad f_far = (d phi / d X)^T grad f_near.
@@ -278,7 +276,7 @@ def _find_visible(far: Window, mapping: CameraMapping, part: Window) -> _Patch:
     if np.count_nonzero(mask) < _LEAST_PIXELS:
         raise ValueError(f"the near image covers fewer than {_LEAST_PIXELS} far pixels")
     points = np.column_stack([x[:-1, :-1][mask] + 0.5, y[:-1, :-1][mask] + 0.5])
-    return _Patch(slice(box.y0, box.y1), slice(box.x0, box.x1), mask, points)
+    return _Patch(box, mask, points)
 
 
 def _describe(model: CameraModel, parameters: Array, linear: _Linearised, seen: _Patch,
