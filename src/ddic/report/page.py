@@ -2,7 +2,6 @@
 
 import base64
 import io
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -30,8 +29,17 @@ from ddic.plots.maps import (
     read_preview,
 )
 from ddic.plots.residual import draw_grey_histogram, draw_residual, draw_residual_histogram
-from ddic.report.gathered import NOT_RECORDED, NOT_STATED, Gathered, gather_all
-from ddic.report.items import WorstPlace, find_field_metrology, find_worst_places, list_statements
+from ddic.report.items import (
+    NOT_RECORDED,
+    NOT_STATED,
+    Gathered,
+    WorstPlace,
+    find_field_metrology,
+    find_worst_places,
+    gather_all,
+    list_statements,
+    write_number,
+)
 
 SHOWN_PERCENT = 99.5
 """Of the strains of nodes, those to either end of the colours."""
@@ -171,6 +179,9 @@ def _encode(name: str, caption: str, figure: Figure) -> EmbeddedFigure:
 
 TEMPLATE = "template.html"
 
+SECONDS = ("seconds", "cpu_seconds")
+"""What the result file and the summary call seconds of the wall clock and of the processor."""
+
 PROVENANCE_FIRST = ("date", "command", "reference_path", "reference_sha256", "deformed_path", "deformed_sha256")
 """What stands first in the table of provenance."""
 
@@ -220,10 +231,10 @@ def _list_key_numbers(gathered: Gathered) -> list[tuple[str, str]]:
     if tensors is not None:
         numbers += [(f"strain {pair}", _write_range(100.0 * tensors[:, k], "%", "{:.3f}"))
                     for pair, k in (("xx", 0), ("yy", 1), ("xy", 3))]
-    return [*numbers, ("residual", _write(gathered.last_residual, "{:.3g} grey levels")),
-            ("displacement noise", _write(known.displacement_noise, "{:.2g} px")),
-            ("strain noise", _write(known.strain_noise, "{:.1e}")),
-            ("strain resolution", _write(known.strain_resolution, "{:.3g} px"))]
+    return [*numbers, ("residual", write_number(gathered.last_residual, "{:.3g} grey levels")),
+            ("displacement noise", write_number(known.displacement_noise, "{:.2g} px")),
+            ("strain noise", write_number(known.strain_noise, "{:.1e}")),
+            ("strain resolution", write_number(known.strain_resolution, "{:.3g} px"))]
 
 
 def _write_range(values: np.ndarray[Any, Any], unit: str, form: str) -> str:
@@ -232,26 +243,18 @@ def _write_range(values: np.ndarray[Any, Any], unit: str, form: str) -> str:
     return f"{form.format(np.nanmin(values))} to {form.format(np.nanmax(values))} {unit}"
 
 
-def _write(value: float, form: str) -> str:
-    return form.format(value) if math.isfinite(value) else NOT_RECORDED
-
-
 def _write_place(place: WorstPlace) -> tuple[str, ...]:
     return (str(place.number), f"({place.x:.0f}, {place.y:.0f})", f"{place.residual_rms:.3g}",
-            _write(place.equivalent_error, "{:.3g}"), place.verdict)
+            write_number(place.equivalent_error, "{:.3g}"), place.verdict)
 
 
 def _list_phases(gathered: Gathered) -> list[tuple[str, str, str, float]]:
     """Phases, their wall seconds, CPU seconds and share of the longest in percent; the file's, then the summary's."""
     table, summary = gathered.result.phases, gathered.summary
-    if len(table.get("phase", ())):
-        names = [name.decode() if isinstance(name, bytes) else str(name) for name in table["phase"]]
-        wall = dict(zip(names, map(float, table["seconds"]), strict=True))
-        cpu = dict(zip(names, map(float, table["cpu_seconds"]), strict=True))
-    else:
-        wall, cpu = {}, {}
+    names = [name.decode() if isinstance(name, bytes) else str(name) for name in table.get("phase", ())]
+    wall, cpu = (dict(zip(names, map(float, table.get(column, ())), strict=True)) for column in SECONDS)
     # The file cannot hold the time of its own writing.
-    wall, cpu = {**wall, **summary.get("seconds", {})}, {**cpu, **summary.get("cpu_seconds", {})}
+    wall, cpu = wall | summary.get(SECONDS[0], {}), cpu | summary.get(SECONDS[1], {})
     longest = max(wall.values(), default=1.0) or 1.0
     rows = [(name, f"{seconds:.2f}", f"{cpu[name]:.2f}" if name in cpu else NOT_RECORDED, 100.0 * seconds / longest)
             for name, seconds in wall.items()]
