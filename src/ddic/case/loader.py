@@ -118,20 +118,15 @@ def _nearest_key(location: Location) -> str:
     near = get_close_matches(key.lower(), list(section.model_fields), n=1)
     if near:
         return f'did you mean "{near[0]}"?'
-    home = _home_of(key)
-    if home:
+    if home := _home_of(key):
         return f"it belongs to {home}"
     return "valid here: " + ", ".join(section.model_fields)
 
 
 def _home_of(key: str) -> str:
     """The sections of the first level that have such a key."""
-    names = []
-    for name in Case.model_fields:
-        section = find_section((name,))
-        if section is not None and key in section.model_fields:
-            names.append(f"[{name}]")
-    return " or ".join(names)
+    sections = {name: find_section((name,)) for name in Case.model_fields}
+    return " or ".join(f"[{name}]" for name, section in sections.items() if section and key in section.model_fields)
 
 
 def _value_at(data: Any, location: Location) -> Any:

@@ -55,8 +55,9 @@ COMMANDS = {
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
-HOMES = {"calibrate": "calibrate:calibrate_near", "export": "probe:export", "opening": "crack:opening",
-         "report": "info:report", "sweep": "studies:sweep", "uncertainty": "studies:uncertainty"}
+HOMES = {"calibrate": "calibrate:calibrate_near", "probe": "tables:probe", "export": "tables:export",
+         "report": "info:report", "opening": "tables:opening", "crack": "tables:crack",
+         "uncertainty": "studies:uncertainty", "sweep": "studies:sweep"}
 """Module and function of the commands whose name is not that of both."""
 
 CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)

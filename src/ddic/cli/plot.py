@@ -77,8 +77,9 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     """
     # Imported here because matplotlib is not needed by --help.
     from ddic.cli.plot_figures import Drawing, Look, PageFiles, plot_animation, plot_curves, plot_pictures
+    from ddic.io.result_schema import TIME
     from ddic.io.series_reader import is_series_file, read_frame, read_series
-    from ddic.plots.canvas import find_length_unit
+    from ddic.plots.canvas import find_length_unit, format_caption
     from ddic.plots.maps import StrainChoice
 
     folder = file.parent if output is None else output
@@ -106,7 +107,8 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
         if series is not None:
             plot_animation(series, kind, drawing, pages, fps)
         else:
-            plot_pictures(kinds, drawing, pages, None if frame is None else _find_caption(file, frame))
+            caption = None if frame is None else format_caption(frame, float(result.attributes[TIME]["deformed"]))
+            plot_pictures(kinds, drawing, pages, caption)
 
 
 def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
@@ -164,15 +166,6 @@ def _choose_kinds(asked: str, result: Result, other: Result | None) -> list[str]
     if NODAL_INFINITESIMAL not in result.point_data:
         left_out.add("strain")
     return [kind for kind in KINDS if kind not in left_out]
-
-
-def _find_caption(file: Path, frame: int) -> str:
-    """What stands above the pictures of a frame."""
-    from ddic.io.series_reader import read_series
-    from ddic.plots.canvas import format_caption
-
-    times = {record["number"]: float(record["time"]) for record in read_series(file).records}
-    return format_caption(frame, times[frame])
 
 
 def _read_reference(result: Result, image: Path | None) -> Preview | None:

@@ -263,7 +263,7 @@ def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pa
     from ddic.synth.fields import Affine
 
     matrix = (gradient[:2], gradient[2:])
-    _generate(Affine(matrix, vector, center or _middle(image)), None, image)
+    _generate(Affine(matrix, vector, center or _picture(image).middle), None, image)
 
 
 @synth.command()
@@ -296,7 +296,7 @@ def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_rat
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
     from ddic.synth.fields import Hole, Kirsch
 
-    center = center or _middle(image)
+    center = center or _picture(image).middle
     radius = min(image["size"]) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
     _generate(field, Hole(center, radius) if draw_hole else None, image)
@@ -313,14 +313,8 @@ def bending(curvature: float, center: Pair | None, poisson_ratio: float, transla
     """Bend a beam along x as between the inner rollers of a four-point test."""
     from ddic.synth.fields import Bending, Sum, Translation
 
-    beam = Bending(curvature, center or _middle(image), poisson_ratio)
+    beam = Bending(curvature, center or _picture(image).middle, poisson_ratio)
     _generate(Sum((beam, Translation(translation))), None, image)
-
-
-def _middle(image: ImageOptions) -> Pair:
-    """Position of the image's centre, pixels."""
-    width, height = image["size"]
-    return (width - 1) / 2, (height - 1) / 2
 
 
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
