@@ -85,6 +85,13 @@ class Match:
 class TileSearch:
     """The far image and the near image reduced to its resolution, both slightly blurred.
 
+    Parameters
+    ----------
+    far, near : (height, width) array
+        The near image covers at least LEAST_TILE far px either way.
+    ratio : float
+        About the near px per far px.
+
     Attributes
     ----------
     far : (height, width) array
@@ -102,7 +109,6 @@ class TileSearch:
     """
 
     def __init__(self, far: Grey, near: Grey, ratio: float) -> None:
-        # The near image covers at least LEAST_TILE far px either way.
         height, width = near.shape
         size = max(round(width / ratio), 1), max(round(height / ratio), 1)
         self.ratio = ratio

@@ -118,15 +118,9 @@ def _nearest_key(location: Location) -> str:
     near = get_close_matches(key.lower(), list(section.model_fields), n=1)
     if near:
         return f'did you mean "{near[0]}"?'
-    if home := _home_of(key):
-        return f"it belongs to {home}"
-    return "valid here: " + ", ".join(section.model_fields)
-
-
-def _home_of(key: str) -> str:
-    """The sections of the first level that have such a key."""
-    sections = {name: find_section((name,)) for name in Case.model_fields}
-    return " or ".join(f"[{name}]" for name, section in sections.items() if section and key in section.model_fields)
+    of_first_level = {name: find_section((name,)) for name in Case.model_fields}
+    homes = [f"[{name}]" for name, other in of_first_level.items() if other is not None and key in other.model_fields]
+    return f"it belongs to {' or '.join(homes)}" if homes else "valid here: " + ", ".join(section.model_fields)
 
 
 def _value_at(data: Any, location: Location) -> Any:

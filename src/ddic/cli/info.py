@@ -181,12 +181,9 @@ def _list_frame_rows(series: SeriesResult) -> list[str]:
     rows = [_list_cells(record) for record in series.records]
     widths = [max(len(head), *(len(row[k]) for row in rows if k < len(row) - 1 or len(row) == len(COLUMNS)))
               for k, head in enumerate(COLUMNS)]
-    aligned = [[_align(*cell) for cell in zip(row, COLUMNS, widths, strict=False)] for row in (list(COLUMNS), *rows)]
+    aligned = [[cell.ljust(width) if head in TEXTS else cell.rjust(width)
+                for cell, head, width in zip(row, COLUMNS, widths, strict=False)] for row in (list(COLUMNS), *rows)]
     return ["  ".join(row).rstrip() for row in aligned]
-
-
-def _align(cell: str, head: str, width: int) -> str:
-    return cell.ljust(width) if head in TEXTS else cell.rjust(width)
 
 
 def _list_cells(record: Mapping[str, Any]) -> list[str]:

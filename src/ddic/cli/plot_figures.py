@@ -241,9 +241,13 @@ def _draw(kind: str, drawing: Drawing, scale: SharedScale | None = None) -> Figu
 
 
 def _draw_krylov(result: Result, other: Result | None) -> Figure:
-    """Convergence of one result or two."""
+    """Convergence of one result or two, which files' names tell apart, with their folders where these are the same."""
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
-    return draw_krylov({_label(one, results): one.krylov for one in results})
+    if len(results) == 1:
+        return draw_krylov({"": results[0].krylov})
+    names = [one.path.name for one in results]
+    return draw_krylov({str(one.path) if names.count(name) > 1 else name: one.krylov
+                        for name, one in zip(names, results, strict=True)})
 
 
 def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
@@ -254,9 +258,3 @@ def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
                          for number, of_line in enumerate(found, start=1)}, unit)
 
 
-def _label(result: Result, among: list[Result]) -> str:
-    """File name, with its folder where two results have the same one; none where it is the only result."""
-    names = [one.path.name for one in among]
-    if len(among) == 1:
-        return ""
-    return str(result.path) if names.count(result.path.name) > 1 else result.path.name

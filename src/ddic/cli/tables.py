@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -22,7 +22,6 @@ from ddic.errors import InputError
 if TYPE_CHECKING:
     from ddic.arrays import Array
     from ddic.fracture.crack_tip import CrackTip
-    from ddic.probes.probes import Probe
     from ddic.probes.tables import ProbeRecord
 
 
@@ -56,14 +55,16 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
     # Imported here because HDF5 is not needed by --help.
     from ddic.case.own_outputs import PROBES, require_own_output
     from ddic.io.series_reader import read_frames
-    from ddic.probes.probes import load_probes
+    from ddic.probes.probes import load_probes, parse_probe
     from ddic.probes.tables import measure_probes, write_probe_table
 
     with failures_as_lines(table):
         if table is not None:
             require_own_output(table, PROBES, (*files, file))
         given = {"point": points, "line": lines, "gauge": gauges, "extensometer": extensometers}
-        probes = [*_parse_probes(given), *(load_probes(file) if file is not None else [])]
+        probes = [parse_probe(kind, f"{kind} {number}", text) for kind, texts in given.items()
+                  for number, text in enumerate(texts, start=1)]
+        probes += load_probes(file) if file is not None else []
         if not probes:
             raise InputError("no probe: give --point, --line, --gauge, --extensometer, or a file by --probes")
         with warnings_as_lines():
@@ -76,14 +77,6 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
     _show_readings(records)
     if table is not None:
         click.echo(table)
-
-
-def _parse_probes(given: Mapping[str, Sequence[str]]) -> list[Probe]:
-    """Probes of the command line, named by their kind and number."""
-    from ddic.probes.probes import parse_probe
-
-    return [parse_probe(kind, f"{kind} {number}", text) for kind, texts in given.items()
-            for number, text in enumerate(texts, start=1)]
 
 
 def _show_readings(records: Sequence[ProbeRecord]) -> None:

@@ -124,11 +124,9 @@ def _read_summary(result: Result, absent: list[str]) -> Mapping[str, Any]:
     if not summary:
         absent.append(f"The summary {path.name or 'of the run'} is not beside the result: notes, stopping criterion, "
                       "memory and the time of writing are not in this report.")
-    return _pick_frame(summary, result) if "frames" in summary else summary
-
-
-def _pick_frame(summary: Mapping[str, Any], result: Result) -> Mapping[str, Any]:
-    """Of the summary of a series, what it says of the frame of a result, as that of a pair says it."""
+    if "frames" not in summary:
+        return summary
+    # Of the summary of a series, what it says of the result's frame, as that of a pair says it.
     time = result.attributes[schema.TIME]["deformed"]
     record: Mapping[str, Any] = next((one for one in summary["frames"] if one["time"] == time), {})
     seconds = {"this frame of the series": record["seconds"]} if "seconds" in record else {}

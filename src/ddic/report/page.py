@@ -55,25 +55,15 @@ class EmbeddedFigure:
     height: int
 
 
-def encode_report_figures(gathered: items.Gathered,
-                          places: Sequence[items.WorstPlace]) -> dict[str, list[EmbeddedFigure]]:
-    """Draw all pictures that a result allows, for a page that holds them itself.
-
-    ``places`` are marked in the residual. They come by section: fields, residual, convergence, histograms.
-    """
-    return {section: [_encode(name, caption, figure) for name, caption, figure in drawn]
-            for section, drawn in draw_report_figures(gathered, places).items()}
-
-
 def draw_report_figures(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> dict[str, list[Drawn]]:
-    """Draw the figures of all pictures: name, caption and page of each, by section.
+    """Draw all pictures that a result allows: name, caption and page of each, by section.
 
-    ``places`` are marked in the residual.
+    Sections are fields, residual, convergence and histograms; ``places`` are marked in the residual.
     """
     previews = {name: maps.read_preview(image) for name, image in gathered.images.items()}
     drawn = {
         "fields": _draw_fields(gathered, previews.get("reference")),
-        "residual": [("residual", _caption_residual(gathered), _draw_marked_residual(gathered, places))],
+        "residual": [_draw_marked_residual(gathered, places)],
         "convergence": _draw_curves(gathered),
         "histograms": _draw_histograms(gathered, previews),
     }
@@ -111,17 +101,13 @@ def _draw_strain(result: Result, choice: maps.StrainChoice, image: maps.Preview 
     return maps.draw_strain(result, choice, find_length_unit(result), limits, image=image)
 
 
-def _caption_residual(gathered: items.Gathered) -> str:
-    what = "by pixel" if gathered.result.residual_image is not None else "by element (no residual image was written)"
-    return (f"Correlation residual {what}. Even noise is what a good measurement leaves; the numbered places have the "
-            "largest residuals.")
-
-
-def _draw_marked_residual(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> Figure:
+def _draw_marked_residual(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> Drawn:
     unit = find_length_unit(gathered.result)
     figure = draw_residual(gathered.result, unit=unit)
     draw_marks(figure.axes[0], [(place.x, place.y) for place in places], unit.size)
-    return figure
+    what = "by pixel" if gathered.result.residual_image is not None else "by element (no residual image was written)"
+    return ("residual", f"Correlation residual {what}. Even noise is what a good measurement leaves; the numbered "
+                        "places have the largest residuals.", figure)
 
 
 def _draw_curves(gathered: items.Gathered) -> list[Drawn]:
@@ -192,12 +178,17 @@ def write_report(result: Result, path: Path | str, image: Path | None = None) ->
                                      lstrip_blocks=True)
     template = environment.from_string(resources.files("ddic.report").joinpath(TEMPLATE).read_text(encoding="utf-8"))
     places = items.find_worst_places(result)
+    pictures = {section: [_encode(*one) for one in drawn]
+                for section, drawn in draw_report_figures(gathered, places).items()}
+    peaks: Sequence[int] = gathered.summary.get("peak_memory_bytes", ())
     page = template.render(
         title=gathered.case.get("title") or result.path.stem or "measurement", file=result.path.name or "in memory",
         result=result, absent=gathered.absent, key_numbers=_list_key_numbers(gathered),
         statements=items.list_statements(gathered), not_recorded=items.NOT_RECORDED, not_stated=items.NOT_STATED,
-        pictures=encode_report_figures(gathered, places), places=[_write_place(place) for place in places],
-        phases=_list_phases(gathered), memory=_describe_memory(gathered), notes=list(gathered.summary.get("notes", ())),
+        pictures=pictures, places=[_write_place(place) for place in places],
+        phases=_list_phases(gathered),
+        memory=", ".join(f"{peak / 2**20:.0f} MiB" for peak in peaks) or items.NOT_RECORDED,
+        notes=list(gathered.summary.get("notes", ())),
         case_path=gathered.get_attribute(schema.CASE, "path") or items.NOT_RECORDED,
         case_text=str(gathered.get_attribute(schema.CASE, "toml") or ""),
         provenance=_order_provenance(result.attributes.get(schema.PROVENANCE, {})))
@@ -243,11 +234,6 @@ def _list_phases(gathered: items.Gathered) -> list[tuple[str, str, str, float]]:
             for name, seconds in wall.items()]
     total = items.write_number(sum(cpu.get(name, math.nan) for name in wall), "{:.2f}")
     return [*rows, ("sum", f"{sum(wall.values()):.2f}", total, 0.0)] if rows else []
-
-
-def _describe_memory(gathered: items.Gathered) -> str:
-    peaks: Sequence[int] = gathered.summary.get("peak_memory_bytes", ())
-    return ", ".join(f"{peak / 2**20:.0f} MiB" for peak in peaks) or items.NOT_RECORDED
 
 
 def _order_provenance(values: Mapping[str, Any]) -> list[tuple[str, str]]:
