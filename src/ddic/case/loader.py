@@ -281,12 +281,10 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
     if case is None:
         # Little else can be said of it.
         return None, [*problems, *missing]
-    case = _absolute(case, folder)
     try:
-        case = find_frames(case, path)
+        return LoadedCase(find_frames(_absolute(case, folder), path), path.resolve(), text), problems
     except InputError as error:
         return None, [*problems, *(line for line in error.problems if line not in problems)]
-    return LoadedCase(case, path.resolve(), text), problems
 
 
 def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:

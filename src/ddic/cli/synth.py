@@ -188,17 +188,8 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     The far images show coarse speckles of about 5 far px; the near ones the same and fine ones of about 5 near px.
     The specimen's frame is the far reference image.
     """
+    from ddic.synth import near_far_scene
     from ddic.synth.fields import Hole, Kirsch
-    from ddic.synth.near_far_scene import (
-        FAR_FILES,
-        NEAR_FILES,
-        NearCamera,
-        SetUpMotion,
-        build_near_far_scene,
-        build_near_mapping,
-        place_beside_hole,
-        write_near_far,
-    )
     from ddic.synth.speckle import two_scale_texture
     from ddic.synth.truth import describe_near_far
 
@@ -207,14 +198,15 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     center = center or far.middle
     radius = min(far.width, far.height) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
-    focus = near_center or place_beside_hole(center, radius, ratio, near)
-    mapping = build_near_mapping(ratio, focus, near, near_angle, tilt)
-    camera = NearCamera(mapping, SetUpMotion(alpha, rotation, focus), near)
+    focus = near_center or near_far_scene.place_beside_hole(center, radius, ratio, near)
+    mapping = near_far_scene.build_near_mapping(ratio, focus, near, near_angle, tilt)
+    motion = near_far_scene.SetUpMotion(alpha, rotation, focus)
+    camera = near_far_scene.NearCamera(mapping, motion, near)
     texture = two_scale_texture(ratio, image["seed"], image["speckle_size"], fine_share)
-    scene = build_near_far_scene(texture, field, Hole(center, radius), far, camera)
+    scene = near_far_scene.build_near_far_scene(texture, field, Hole(center, radius), far, camera)
     folder = image["output"]
-    write_images(folder, [*FAR_FILES, *NEAR_FILES], describe_near_far(scene),
-                 lambda files: write_near_far(folder, scene, files))
+    write_images(folder, [*near_far_scene.FAR_FILES, *near_far_scene.NEAR_FILES], describe_near_far(scene),
+                 lambda files: near_far_scene.write_near_far(folder, scene, files))
 
 
 def _picture(image: ImageOptions, size: Size | None = None, noise: float | None = None) -> Picture:
