@@ -92,9 +92,7 @@ class CameraModel:
             of_y = [zero, zero, zero, x, y, one, -place[:, 1] * x, -place[:, 1] * y]
             undistorted = np.array([of_x, of_y]).transpose(2, 0, 1) / depth[:, None, None]
         elif self.kind == "similarity":
-            of_x = [x, -y, one, zero]
-            of_y = [y, x, zero, one]
-            undistorted = np.array([of_x, of_y]).transpose(2, 0, 1)
+            undistorted = np.array([[x, -y, one, zero], [y, x, zero, one]]).transpose(2, 0, 1)
         else:
             undistorted = np.array([[one, zero], [zero, one]]).transpose(2, 0, 1)
         return self._distort(parameters, points, undistorted) if self.distorts else undistorted

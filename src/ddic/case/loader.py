@@ -253,7 +253,7 @@ def load_case(path: Path | str) -> LoadedCase:
     text = read_text(path, "case file", "check the path")
     place = path.resolve()
     _require_text_name(place)
-    case = _absolute(parse_case(text, path), place.parent)
+    case = _absolute(parse_case_text(text, path), place.parent)
     return LoadedCase(find_frames(case, path), place, text)
 
 
@@ -321,7 +321,7 @@ def _remove(data: Any, location: Location) -> None:
         data.pop(keys[-1], None)
 
 
-def parse_case(text: str, path: Path) -> Case:
+def parse_case_text(text: str, path: Path) -> Case:
     """Validate the TOML text of a case file; paths stay as they are written.
 
     ``path`` names the file in messages. Raises InputError as ``load_case`` does.

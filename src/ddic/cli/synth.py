@@ -123,13 +123,12 @@ def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
     is_set = len(taken) == len(paths) and all(map(_is_plain, taken))
     # A device may have no end.
     before = _read_truth(paths[-1]) if is_set else {}
-    is_set = before.get("format") == record["format"]
-    if is_set and before == json.loads(json.dumps(convert_to_json(record))):
+    if before == json.loads(json.dumps(convert_to_json(record))):
         # The same images again.
         return
     for path in paths:
         require_no_input(path)
-    if not is_set or ("near" in before) != ("near" in record):
+    if before.get("format") != record["format"] or ("near" in before) != ("near" in record):
         raise InputError(f"{taken[0]}: is there already, and not of a whole set that ddic synth made; remove it, or "
                          "choose another --output")
 

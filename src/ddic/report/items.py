@@ -92,7 +92,6 @@ def gather_all(result: Result, image: Path | None = None) -> Gathered:
 
     ``image`` is a reference image in place of the one that the result names; raises InputError where it is missing.
     """
-    text = str(result.attributes.get(schema.CASE, {}).get("json", ""))
     absent: list[str] = []
     summary = _read_summary(result, absent)
     named = result.attributes.get(schema.PROVENANCE, {})
@@ -110,7 +109,7 @@ def gather_all(result: Result, image: Path | None = None) -> Gathered:
             in_memory = not path.is_absolute() and not path.suffix
             where = "was in memory" if in_memory else f"is no longer at {path}"
             absent.append(f"The {name} image {where}: what it alone tells is not in this report.")
-    return Gathered(result, json.loads(text) if text else {}, summary, images, tuple(absent))
+    return Gathered(result, schema.parse_case(result.attributes), summary, images, tuple(absent))
 
 
 def _read_summary(result: Result, absent: list[str]) -> Mapping[str, Any]:
