@@ -36,7 +36,8 @@ def test_what_makes_no_sense_beside_pgd_is_refused(more: str, words: str) -> Non
 
 def test_tikhonov_needs_pgd() -> None:
     with pytest.raises(InputError, match=r'operator = "tikhonov" goes with \[pgd\]'):
-        parse_case_text(case_text('[regularization]\ncut_off_wavelength = 60\noperator = "tikhonov"\n'), Path("case.toml"))
+        parse_case_text(case_text('[regularization]\ncut_off_wavelength = 60\noperator = "tikhonov"\n'),
+                        Path("case.toml"))
 
 
 @pytest.mark.parametrize(("region", "more", "words"), [

@@ -12,7 +12,8 @@ from ddic.case.schema import Case
 
 
 def make_case(mesh: str = 'structured = { region = [0, 0, 90, 200], element_size = 64 }', more: str = "") -> Case:
-    return parse_case_text(f'[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh]\n{mesh}\n{more}', Path("case.toml"))
+    text = f'[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh]\n{mesh}\n{more}'
+    return parse_case_text(text, Path("case.toml"))
 
 
 def test_sizes_and_wavelengths_lie_about_the_own_ones() -> None:

@@ -83,27 +83,23 @@ def _show_readings(records: Sequence[ProbeRecord]) -> None:
     """What probes read on the screen; of lines, the mean."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from ddic.probes.tables import average_along
 
     unit = records[0].unit
-    table = Table(box=SIMPLE_HEAD)
-    for name in ("time", "probe"):
-        table.add_column(name)
-    for name in (f"u_x [{unit.name}]", f"u_y [{unit.name}]", f"+- [{unit.name}]", "strain xx", "yy", "xy", "along",
-                 "+-", f"resolution u, strain [{unit.name}]"):
-        table.add_column(name, justify="right")
+    numbers = (f"u_x [{unit.name}]", f"u_y [{unit.name}]", f"+- [{unit.name}]", "strain xx", "yy", "xy", "along", "+-",
+               f"resolution u, strain [{unit.name}]")
+    table = Table("time", "probe", *(Column(name, justify="right") for name in numbers), box=SIMPLE_HEAD)
     notes: dict[str, None] = {}
     for record in records:
         reading, known = record.reading, record.metrology
-        lengths = [unit.size * value for value in (*map(average_along, reading.displacement.T),
-                                                   known.displacement_noise)]
-        strains = [*map(average_along, reading.strain.T), average_along(reading.along), known.strain_noise]
-        fine = (known.displacement_resolution, known.strain_resolution)
-        table.add_row(_write(record.time), reading.probe.name, *(_write(value, ".5g") for value in lengths[:2]),
-                      _write(lengths[2], ".2g"), *(_write(value, ".3e") for value in strains[:4]),
-                      _write(strains[4], ".1e"), ", ".join(_write(unit.size * value, ".3g") for value in fine))
+        displacement = [_write(unit.size * average_along(values), ".5g") for values in reading.displacement.T]
+        strain = [_write(average_along(values), ".3e") for values in (*reading.strain.T, reading.along)]
+        fine = [_write(unit.size * value, ".3g") for value in (known.displacement_resolution, known.strain_resolution)]
+        table.add_row(_write(record.time), reading.probe.name,
+                      *displacement, _write(unit.size * known.displacement_noise, ".2g"),
+                      *strain, _write(known.strain_noise, ".1e"), ", ".join(fine))
         for note in filter(None, (reading.note, known.note)):
             notes[f"{record.result}: {reading.probe.name}: {note}"] = None
     console = Console(width=None if Console().is_terminal else 200, markup=False)
