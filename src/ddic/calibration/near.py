@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array
-from ddic.calibration.camera_models import CameraModel, Kind, fit_similarity
-from ddic.calibration.registration import TOLERANCE, Registration, read_near_image, register
+from ddic.calibration.registration import CameraModel, Kind, Registration, fit_similarity, read_near_image, register
 from ddic.errors import ConvergenceError, InputError
 from ddic.images.camera import CameraMapping, similarity
 from ddic.images.source import ImageSource
@@ -373,7 +372,7 @@ class _Pair:
             if last:
                 samples = max(round(_local_ratio(found.mapping, part)), 1)
                 fine = replace(self.spline, samples=samples)
-                return register(self.gradient, fine, model, start, part, TOLERANCE)
+                return register(self.gradient, fine, model, start, part)
             found = register(self.gradient, rough, model, start, part, _ROUGH)
         return found
 
