@@ -147,10 +147,8 @@ def plot_pictures(kinds: Sequence[str], drawing: Drawing, pages: PageFiles, capt
     with made_folder(pages.folder), replaced_together() as files:
         for kind, target in zip(kinds, targets, strict=True):
             figure = _draw(kind, drawing)
-            shown = [drawing.result]
-            if kind in OF_BOTH and drawing.other is not None:
-                shown.append(drawing.other)
-            canvas.draw_failures(figure, shown)
+            others = [drawing.other] if kind in OF_BOTH and drawing.other is not None else []
+            canvas.draw_failures(figure, [drawing.result, *others])
             if caption is not None:
                 canvas.draw_caption(figure, caption)
             canvas.save_figure(figure, target, pages.dpi, files)

@@ -4,7 +4,6 @@ import base64
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -32,27 +31,6 @@ DPI = 110
 
 Drawn = tuple[str, str, Figure]
 """Name, caption and page of a picture."""
-
-
-@dataclass(frozen=True)
-class EmbeddedFigure:
-    """A picture in a page.
-
-    Attributes
-    ----------
-    name, caption : str
-        What it shows, in a word, and what stands below it.
-    data : str
-        Its PNG as a data URI.
-    width, height : int
-        Dots.
-    """
-
-    name: str
-    caption: str
-    data: str
-    width: int
-    height: int
 
 
 def draw_report_figures(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> dict[str, list[Drawn]]:
@@ -137,13 +115,13 @@ def _draw_histograms(gathered: items.Gathered, previews: dict[str, maps.Preview]
     return drawn
 
 
-def _encode(name: str, caption: str, figure: Figure) -> EmbeddedFigure:
-    """A figure as a PNG within the page."""
+def _encode(name: str, caption: str, figure: Figure) -> dict[str, str | int]:
+    """A figure as a PNG within the page: name, caption, data URI, width and height in dots, as the template asks."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=DPI)
     width, height = (round(DPI * side) for side in figure.get_size_inches())
     data = base64.b64encode(stream.getvalue()).decode("ascii")
-    return EmbeddedFigure(name, caption, f"data:image/png;base64,{data}", width, height)
+    return {"name": name, "caption": caption, "data": f"data:image/png;base64,{data}", "width": width, "height": height}
 
 
 TEMPLATE = "template.html"
