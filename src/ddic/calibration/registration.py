@@ -211,18 +211,14 @@ class NearImage:
             part = slice(begin, begin + step)
             positions = mapping.to_image((points[part, None] + within).reshape(-1, 2))
             rows_and_columns = positions[:, ::-1].T
-            samples = self._sample(rows_and_columns)
+            grey = ndimage.map_coordinates(self.coefficients, rows_and_columns + PADDING[_DEGREE], output=np.float64,
+                                           order=_DEGREE, mode="nearest", prefilter=False)
+            # The gradient only tells how certain the result is: linear interpolation does for it.
+            slopes = [ndimage.map_coordinates(by, rows_and_columns, output=np.float64, order=1, mode="nearest")
+                      for by in (self.by_x, self.by_y)]
+            samples = np.stack([grey, *slopes], axis=1)
             averages[part] = samples.reshape(-1, n_samples, 3).mean(axis=1)
         return averages
-
-    def _sample(self, rows_and_columns: Array) -> Array:
-        """Grey level and gradient (n, 3) at places (2, n) of the image."""
-        grey = ndimage.map_coordinates(self.coefficients, rows_and_columns + PADDING[_DEGREE], output=np.float64,
-                                       order=_DEGREE, mode="nearest", prefilter=False)
-        # The gradient only tells how certain the result is: linear interpolation does for it.
-        slopes = [ndimage.map_coordinates(by, rows_and_columns, output=np.float64, order=1, mode="nearest")
-                  for by in (self.by_x, self.by_y)]
-        return np.stack([grey, *slopes], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
