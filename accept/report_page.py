@@ -30,8 +30,7 @@ from bench.support.rows import Row
 from bench.support.runs import NotHereError, ddic, ddic_run, images
 from ddic.io.result_reader import read_result
 from ddic.plots.canvas import POINTS_AN_INCH
-from ddic.report.gathered import gather_all
-from ddic.report.items import find_worst_places
+from ddic.report.items import find_worst_places, gather_all
 from ddic.report.page import DPI, draw_report_figures
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "chrome-headless-shell")

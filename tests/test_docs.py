@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel
 
 from ddic.case import schema
-from ddic.case.loader import parse_case
+from ddic.case.loader import parse_case_text
 from ddic.case.schema import find_section
 
 ROOT = Path(__file__).parents[1]
@@ -172,7 +172,7 @@ def test_case_files_in_a_document_are_valid(document: Path) -> None:
     whole = [block for block in code_blocks(document, "toml") if "[images]" in block]
     assert whole
     for block in whole:
-        parse_case(block, document)
+        parse_case_text(block, document)
 
 
 def test_tour_is_the_demo() -> None:

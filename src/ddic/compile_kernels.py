@@ -34,6 +34,8 @@ def compile_kernels() -> None:
     petsc4py.init(["ddic"])
     import cv2
 
+    from ddic.mesh.interpolation import interpolate
+    from ddic.mesh.structured import build_structured_mesh
     from ddic.methods.run import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
@@ -48,13 +50,6 @@ def compile_kernels() -> None:
                 case = folder / "case.toml"
                 case.write_text(CASE.format(degree=degree, mask=mask), encoding="utf-8")
                 run_case(team, case, Silence())
-    _interpolate()
-
-
-def _interpolate() -> None:
-    from ddic.mesh.interpolation import interpolate
-    from ddic.mesh.structured import build_structured_mesh
-
     mesh = build_structured_mesh((0, 0, SIDE, SIDE), SIDE / 2)
     interpolate(mesh, mesh.nodes, mesh.centroids)
 

@@ -48,12 +48,8 @@ class Problems:
         try:
             yield
         except InputError as error:
-            self.add(error, source)
-
-    def add(self, error: InputError, source: Path | None = None) -> None:
-        """Keep the lines of an error of one check; ``source`` is a file to name before each line."""
-        prefix = "" if source is None else f"{source}: "
-        self.lines += [prefix + line for line in error.problems]
+            prefix = "" if source is None else f"{source}: "
+            self.lines += [prefix + line for line in error.problems]
 
     def require_none(self) -> None:
         """Raise all of them as one InputError, where there are any."""

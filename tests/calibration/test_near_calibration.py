@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ddic.calibration.camera_models import Kind
 from ddic.calibration.near import Calibration, calibrate_near_camera
+from ddic.calibration.registration import Kind
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, similarity
 from ddic.io.image_file import open_image

@@ -33,7 +33,7 @@ def test_blank_windows_and_templates_match_nothing() -> None:
 @pytest.mark.parametrize(("mapping", "ratio"), [(UPRIGHT, 4.0), (UPRIGHT, 4.5), (UPRIGHT, 3.5), (TURNED, 4.2),
                                                 (TURNED, 3.8), (TILTED, 4.0)])
 def test_a_tile_is_found_within_a_far_pixel(mapping: CameraMapping, ratio: float) -> None:
-    search = TileSearch.prepare(far_grey(mapping).astype(np.float32), near_grey().astype(np.float32), ratio)
+    search = TileSearch(far_grey(mapping).astype(np.float32), near_grey().astype(np.float32), ratio)
     match = next(search.find_matches())
     assert match.coefficient > 0.85
     X = mapping.to_specimen(np.array([match.centre]))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ddic.case.loader import load_case, parse_case
+from ddic.case.loader import load_case, parse_case_text
 from ddic.check.case import check_case, check_ranks
 from ddic.errors import InputError
 from support.cases import REGION, case_text, write_case, write_images
@@ -28,7 +28,7 @@ NEAR = '[[near]]\nreference = "a.tif"\ndeformed = "b.tif"\nratio = 4\noffset = [
 ])
 def test_what_makes_no_sense_beside_pgd_is_refused(more: str, words: str) -> None:
     with pytest.raises(InputError) as caught:
-        parse_case(case_text(f"[pgd]\n{more}"), Path("case.toml"))
+        parse_case_text(case_text(f"[pgd]\n{more}"), Path("case.toml"))
     (line,) = caught.value.problems
     assert words in line
     assert line.startswith("case.toml: ")
@@ -36,7 +36,8 @@ def test_what_makes_no_sense_beside_pgd_is_refused(more: str, words: str) -> Non
 
 def test_tikhonov_needs_pgd() -> None:
     with pytest.raises(InputError, match=r'operator = "tikhonov" goes with \[pgd\]'):
-        parse_case(case_text('[regularization]\ncut_off_wavelength = 60\noperator = "tikhonov"\n'), Path("case.toml"))
+        parse_case_text(case_text('[regularization]\ncut_off_wavelength = 60\noperator = "tikhonov"\n'),
+                        Path("case.toml"))
 
 
 @pytest.mark.parametrize(("region", "more", "words"), [

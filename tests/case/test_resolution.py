@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from ddic.case.loader import parse_case
+from ddic.case.loader import parse_case_text
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
 
 
 def make_case(mesh: str = 'structured = { region = [0, 0, 90, 200], element_size = 64 }', more: str = "") -> Case:
-    return parse_case(f'[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh]\n{mesh}\n{more}', Path("case.toml"))
+    text = f'[images]\nreference = "f.tif"\ndeformed = "g.tif"\n[mesh]\n{mesh}\n{more}'
+    return parse_case_text(text, Path("case.toml"))
 
 
 def test_sizes_and_wavelengths_lie_about_the_own_ones() -> None:

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ddic
-from ddic.cli.crack import crack, opening
 from ddic.cli.plot import plot
+from ddic.cli.tables import crack, opening
 from ddic.errors import InputError
 from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
 from ddic.io.result_reader import Result

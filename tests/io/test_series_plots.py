@@ -14,11 +14,10 @@ from click.testing import CliRunner, Result
 from PIL import Image
 
 from accept.report_page import find_clipped_texts
-from ddic.cli.crack import crack, opening
 from ddic.cli.info import info
 from ddic.cli.plot import plot
 from ddic.cli.plot_figures import Look, find_shared_scale
-from ddic.cli.probe import export
+from ddic.cli.tables import crack, export, opening
 from ddic.io.series_reader import gather_history, read_series
 from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption
 from ddic.plots.maps import StrainChoice, draw_deformed, draw_strain

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import ddic
-from ddic.cli.probe import export, probe
+from ddic.cli.tables import export, probe
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import ddic
 from ddic.cli.info import report
-from ddic.cli.probe import probe
+from ddic.cli.tables import probe
 from ddic.io.series_reader import read_frames
 from support.commands import ddic as run_command
 

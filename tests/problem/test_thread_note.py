@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ddic.case.loader import parse_case
+from ddic.case.loader import parse_case_text
 from ddic.errors import InputError
 from ddic.functionals import correlation
 from ddic.images import spline
@@ -63,10 +63,10 @@ threads = {}
 
 
 def test_case_has_one_thread_unless_it_asks_for_more() -> None:
-    assert parse_case(case_text(), Path("case.toml")).solver.threads == 1
-    assert parse_case(case_text("[solver]\nthreads = 3"), Path("case.toml")).solver.threads == 3
+    assert parse_case_text(case_text(), Path("case.toml")).solver.threads == 1
+    assert parse_case_text(case_text("[solver]\nthreads = 3"), Path("case.toml")).solver.threads == 3
     with pytest.raises(InputError, match=r"solver\.threads"):
-        parse_case(case_text("[solver]\nthreads = 0"), Path("case.toml"))
+        parse_case_text(case_text("[solver]\nthreads = 0"), Path("case.toml"))
 
 
 @pytest.mark.parallel([1, 3])

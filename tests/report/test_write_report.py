@@ -29,8 +29,14 @@ from ddic.images.binned import BLUR_NOTE
 from ddic.images.grey_levels import measure_feature_size
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import read_result
-from ddic.report.gathered import NOT_RECORDED, NOT_STATED, gather_all
-from ddic.report.items import OF_SETUP, find_worst_places, list_statements
+from ddic.report.items import (
+    NOT_RECORDED,
+    NOT_STATED,
+    OF_SETUP,
+    find_worst_places,
+    gather_all,
+    list_statements,
+)
 from ddic.report.page import draw_report_figures
 from support.commands import ddic as run_command
 

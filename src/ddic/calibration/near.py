@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array
-from ddic.calibration.camera_models import CameraModel, Kind, fit_similarity
-from ddic.calibration.registration import TOLERANCE, NearImage, Registration, read_near_image, register
+from ddic.calibration.registration import CameraModel, Kind, Registration, fit_similarity, read_near_image, register
 from ddic.errors import ConvergenceError, InputError
 from ddic.images.camera import CameraMapping, similarity
 from ddic.images.source import ImageSource
-from ddic.images.spline import GradientImage, read_gradient
+from ddic.images.spline import read_gradient
 from ddic.images.window import Window
 from ddic.mesh.plane import build_rotation
 
@@ -82,9 +81,15 @@ class Match:
     side: float
 
 
-@dataclass(frozen=True, eq=False)
 class TileSearch:
     """The far image and the near image reduced to its resolution, both slightly blurred.
+
+    Parameters
+    ----------
+    far, near : (height, width) array
+        The near image covers at least LEAST_TILE far px either way.
+    ratio : float
+        About the near px per far px.
 
     Attributes
     ----------
@@ -102,36 +107,18 @@ class TileSearch:
         Of the tiles, far px.
     """
 
-    far: Grey
-    power: Array
-    reduced: Grey
-    scale: tuple[float, float]
-    ratio: float
-    side: int
-
-    @classmethod
-    def prepare(cls, far: Grey, near: Grey, ratio: float) -> TileSearch:
-        """Prepare the search of a near image in a far one, of about ``ratio`` near px per far px.
-
-        The near image must cover at least LEAST_TILE far px either way.
-        """
+    def __init__(self, far: Grey, near: Grey, ratio: float) -> None:
         height, width = near.shape
         size = max(round(width / ratio), 1), max(round(height / ratio), 1)
-        reduced = cv2.resize(near, size, interpolation=cv2.INTER_AREA)
+        self.ratio = ratio
+        self.scale = width / size[0], height / size[1]
+        self.reduced = cv2.GaussianBlur(cv2.resize(near, size, interpolation=cv2.INTER_AREA), (0, 0), _BLUR)
         most = min(int(n / (1 + RATIO_RANGE)) for n in (*size, far.shape[1], far.shape[0]))
         # Half the image, so that a tile is left in view where part of the near field is not.
-        side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
-        blurred_far = cv2.GaussianBlur(far, (0, 0), _BLUR)
-        blurred_near = cv2.GaussianBlur(reduced, (0, 0), _BLUR)
-        blurred_far -= blurred_far.mean()
-        return cls(
-            far=blurred_far,
-            power=sum_window_squares(blurred_far, side),
-            reduced=blurred_near,
-            scale=(width / size[0], height / size[1]),
-            ratio=ratio,
-            side=side,
-        )
+        self.side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
+        self.far = cv2.GaussianBlur(far, (0, 0), _BLUR)
+        self.far -= self.far.mean()
+        self.power = sum_window_squares(self.far, self.side)
 
     def find_matches(self, *, fixed: bool = False) -> Iterator[Match]:
         """Find the best match of each tile, from the tile with the most texture on.
@@ -182,12 +169,9 @@ class TileSearch:
             if tried.coefficient > best.coefficient:
                 best, at = tried, step
         for fine in _FINE_STEPS:
-            middle = at
-            for k, j in product((-1, 0, 1), repeat=2):
-                step = middle[0] + k * fine / _STEPS, middle[1] + j * fine / _STEPS
-                tried = self._match(centre, *step)
-                if tried.coefficient > best.coefficient:
-                    best, at = tried, step
+            around = [(at[0] + k * fine / _STEPS, at[1] + j * fine / _STEPS) for k, j in product((-1, 0, 1), repeat=2)]
+            matches = [(best, at), *((self._match(centre, *step), step) for step in around)]
+            best, at = max(matches, key=lambda match_and_step: match_and_step[0].coefficient)
         return best
 
     def _match(self, centre: tuple[float, float], stretch: float, turn: float) -> Match:
@@ -336,14 +320,7 @@ def calibrate_near_camera(far: ImageSource, near: ImageSource, ratio: float, kin
     lie in the far one.
     """
     _check_sizes(far, near, ratio)
-    pair = _Pair(
-        far=_read_grey(far),
-        near=_read_grey(near),
-        gradient=read_gradient(far, far.extent, 3),
-        spline=read_near_image(near, ratio),
-        kind=kind,
-        distortion=distortion,
-    )
+    pair = _Pair(far, near, ratio, kind, distortion)
     found, best = pair.locate(ratio, None)
     if found is None:
         raise InputError(_explain_failure(pair, far, near, ratio, best))
@@ -351,22 +328,19 @@ def calibrate_near_camera(far: ImageSource, near: ImageSource, ratio: float, kin
     return _describe(found, (far.width, far.height), (near.width, near.height))
 
 
-@dataclass(frozen=True, eq=False)
 class _Pair:
     """Both images, (height, width); the far one's gradient, the near one as a spline; and what is asked for."""
 
-    far: NDArray[np.float32]
-    near: NDArray[np.float32]
-    gradient: GradientImage
-    spline: NearImage
-    kind: Kind
-    distortion: bool
+    def __init__(self, far: ImageSource, near: ImageSource, ratio: float, kind: Kind, distortion: bool) -> None:
+        self.far, self.near = _read_grey(far), _read_grey(near)
+        self.gradient = read_gradient(far, far.extent, 3)
+        self.spline = read_near_image(near, ratio)
+        self.kind, self.distortion = kind, distortion
 
     def locate(self, ratio: float, n_tiles: int | None) -> tuple[Registration | None, float]:
         """The registration from the first tile that leads to one, and the best coefficient met on the way."""
         best = 0.0
-        search = TileSearch.prepare(self.far, self.near, ratio)
-        matches = search.find_matches(fixed=self.kind == "translation")
+        matches = TileSearch(self.far, self.near, ratio).find_matches(fixed=self.kind == "translation")
         for match in islice(matches, n_tiles):
             if match.coefficient < _LEAST_START:
                 continue
@@ -398,7 +372,7 @@ class _Pair:
             if last:
                 samples = max(round(_local_ratio(found.mapping, part)), 1)
                 fine = replace(self.spline, samples=samples)
-                return register(self.gradient, fine, model, start, part, TOLERANCE)
+                return register(self.gradient, fine, model, start, part)
             found = register(self.gradient, rough, model, start, part, _ROUGH)
         return found
 
@@ -509,24 +483,17 @@ def _describe(found: Registration, far_size: tuple[int, int], near_size: tuple[i
     # Places all over the near image, where the mapping is compared with a similarity.
     x, y = np.meshgrid(np.linspace(0, near_size[0] - 1, _GRID), np.linspace(0, near_size[1] - 1, _GRID))
     grid = mapping.to_specimen(np.column_stack([x.ravel(), y.ravel()]))
-
-    def describe_similarity(parameters: Array) -> Array:
-        return _similarity_of(fit_similarity(model.build_mapping(parameters), grid)[0])
-
-    def list_homography(parameters: Array) -> Array:
-        return model.build_mapping(parameters).homography.ravel()
-
     similarity, rest = fit_similarity(mapping, grid)
     ratio, rotation, x0, y0 = _similarity_of(similarity)
     distances = np.hypot(*rest.T)
     return Calibration(
         mapping=mapping,
-        homography_std=_deviations(list_homography, found).reshape(3, 3),
+        homography_std=_deviations(lambda mapping: mapping.homography.ravel(), found).reshape(3, 3),
         k1_std=float(np.sqrt(found.covariance[-1, -1])) if model.distorts else 0.0,
         ratio=float(ratio),
         rotation=float(rotation),
         offset=(float(x0), float(y0)),
-        similarity_std=_deviations(describe_similarity, found),
+        similarity_std=_deviations(lambda mapping: _similarity_of(fit_similarity(mapping, grid)[0]), found),
         deviation=(float(np.sqrt((distances**2).mean())), float(distances.max())),
         places=places,
         places_far=places_far,
@@ -543,14 +510,14 @@ def _similarity_of(mapping: CameraMapping) -> Array:
     return np.array([np.hypot(h[0, 0], h[1, 0]), np.rad2deg(np.arctan2(h[1, 0], h[0, 0])), h[0, 2], h[1, 2]])
 
 
-def _deviations(function: Callable[[Array], Array], found: Registration) -> Array:
-    """Standard deviations of a function of the parameters, by central differences."""
-    slopes = []
-    for k, value in enumerate(found.parameters):
-        step = np.zeros_like(found.parameters)
-        step[k] = 1e-6 * max(1.0, abs(float(value)))
-        difference = function(found.parameters + step) - function(found.parameters - step)
-        slopes.append(difference / (2 * step[k]))
+def _deviations(function: Callable[[CameraMapping], Array], found: Registration) -> Array:
+    """Standard deviations of a function of the mapping, by central differences along its parameters."""
+    def evaluate(parameters: Array) -> Array:
+        return function(found.model.build_mapping(parameters))
+
+    sizes = 1e-6 * np.maximum(1.0, np.abs(found.parameters))
+    slopes = [(evaluate(found.parameters + step) - evaluate(found.parameters - step)) / (2 * size)
+              for size, step in zip(sizes, np.diag(sizes), strict=True)]
     by_parameters = np.array(slopes).T
     variances = np.einsum("np,pq,nq->n", by_parameters, found.covariance, by_parameters)
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))

@@ -118,20 +118,9 @@ def _nearest_key(location: Location) -> str:
     near = get_close_matches(key.lower(), list(section.model_fields), n=1)
     if near:
         return f'did you mean "{near[0]}"?'
-    home = _home_of(key)
-    if home:
-        return f"it belongs to {home}"
-    return "valid here: " + ", ".join(section.model_fields)
-
-
-def _home_of(key: str) -> str:
-    """The sections of the first level that have such a key."""
-    names = []
-    for name in Case.model_fields:
-        section = find_section((name,))
-        if section is not None and key in section.model_fields:
-            names.append(f"[{name}]")
-    return " or ".join(names)
+    of_first_level = {name: find_section((name,)) for name in Case.model_fields}
+    homes = [f"[{name}]" for name, other in of_first_level.items() if other is not None and key in other.model_fields]
+    return f"it belongs to {' or '.join(homes)}" if homes else "valid here: " + ", ".join(section.model_fields)
 
 
 def _value_at(data: Any, location: Location) -> Any:
@@ -264,7 +253,7 @@ def load_case(path: Path | str) -> LoadedCase:
     text = read_text(path, "case file", "check the path")
     place = path.resolve()
     _require_text_name(place)
-    case = _absolute(parse_case(text, path), place.parent)
+    case = _absolute(parse_case_text(text, path), place.parent)
     return LoadedCase(find_frames(case, path), place, text)
 
 
@@ -292,12 +281,10 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
     if case is None:
         # Little else can be said of it.
         return None, [*problems, *missing]
-    case = _absolute(case, folder)
     try:
-        case = find_frames(case, path)
+        return LoadedCase(find_frames(_absolute(case, folder), path), path.resolve(), text), problems
     except InputError as error:
         return None, [*problems, *(line for line in error.problems if line not in problems)]
-    return LoadedCase(case, path.resolve(), text), problems
 
 
 def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
@@ -334,7 +321,7 @@ def _remove(data: Any, location: Location) -> None:
         data.pop(keys[-1], None)
 
 
-def parse_case(text: str, path: Path) -> Case:
+def parse_case_text(text: str, path: Path) -> Case:
     """Validate the TOML text of a case file; paths stay as they are written.
 
     ``path`` names the file in messages. Raises InputError as ``load_case`` does.

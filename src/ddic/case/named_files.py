@@ -108,7 +108,8 @@ def _expand(section: Section, name: str, file: Path) -> tuple[Section, list[str]
     found: list[Path] = []
     problems = []
     for path in given if isinstance(given, tuple) else (given,):
-        matches = _match(path) if is_pattern(path) else [path]
+        # In the order in which people number them: 2 before 10.
+        matches = sorted(map(Path, glob(str(path))), key=_split_numbers) if is_pattern(path) else [path]
         found += matches
         if not matches:
             problems.append(f"{file}: {name}: deformed = \"{path}\": no file matches this pattern; check the folder")
@@ -118,11 +119,6 @@ def _expand(section: Section, name: str, file: Path) -> tuple[Section, list[str]
 def is_pattern(path: Path) -> bool:
     """Tell whether an absolute path stands for all files that match it: not where a file is called so."""
     return PATTERN.search(str(path)) is not None and not is_readable_file(path)
-
-
-def _match(pattern: Path) -> list[Path]:
-    """Files that match, in the order in which people number them: 2 before 10."""
-    return sorted((Path(name) for name in glob(str(pattern))), key=_split_numbers)
 
 
 def _split_numbers(path: Path) -> list[tuple[int, int, str]]:

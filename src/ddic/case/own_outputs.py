@@ -19,15 +19,8 @@ from ddic.case.loader import LoadedCase
 from ddic.case.named_files import PATTERN, list_named_files
 from ddic.case.schema import Case
 from ddic.errors import InputError
+from ddic.io import result_schema
 from ddic.io.input_file import find_real_path, is_readable_file
-from ddic.io.result_schema import (
-    earlier_path,
-    frames_path,
-    not_converged_path,
-    physical_path,
-    sidecar_path,
-    summary_path,
-)
 from ddic.io.text_files import read_text
 
 LONGEST_CASE = 1 << 20
@@ -195,10 +188,10 @@ def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path
     """
     start = case.start.from_result
     n_cameras = 1 + len(case.near)
-    replaced = [*_list_company(result, n_cameras), *_list_company(earlier_path(result), n_cameras)]
-    last_field = _list_company(not_converged_path(result), n_cameras)
+    replaced = [*_list_company(result, n_cameras), *_list_company(result_schema.earlier_path(result), n_cameras)]
+    last_field = _list_company(result_schema.not_converged_path(result), n_cameras)
     inputs = [*others, *(path for path in list_named_files(case, Path()) if path != start)]
-    frames = find_real_path(frames_path(result))
+    frames = find_real_path(result_schema.frames_path(result))
     lost = _find_lost(inputs, [*replaced, *last_field], frames) or _find_lost([start], replaced, frames)
     if lost is not None:
         raise InputError(f"{key}: {result} would overwrite the input {lost}; choose another name")
@@ -206,8 +199,8 @@ def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path
 
 def _list_company(result: Path, n_cameras: int) -> list[Path]:
     """A result file and what stands beside it."""
-    sidecars = (sidecar_path(result, camera) for camera in range(n_cameras))
-    return [result, summary_path(result), physical_path(result), *sidecars]
+    sidecars = (result_schema.sidecar_path(result, camera) for camera in range(n_cameras))
+    return [result, result_schema.summary_path(result), result_schema.physical_path(result), *sidecars]
 
 
 def _find_lost(inputs: Iterable[Path | None], written: Iterable[Path], folder: Path | None = None) -> Path | None:

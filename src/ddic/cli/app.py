@@ -55,8 +55,9 @@ COMMANDS = {
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
-HOMES = {"calibrate": "calibrate:calibrate_near", "export": "probe:export", "opening": "crack:opening",
-         "report": "info:report", "sweep": "studies:sweep", "uncertainty": "studies:uncertainty"}
+HOMES = {"calibrate": "calibrate:calibrate_near", "probe": "tables:probe", "export": "tables:export",
+         "report": "info:report", "opening": "tables:opening", "crack": "tables:crack",
+         "uncertainty": "studies:uncertainty", "sweep": "studies:sweep"}
 """Module and function of the commands whose name is not that of both."""
 
 CLICKS_OWN = (click.ClickException, click.exceptions.Exit, click.Abort)
@@ -119,12 +120,12 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.command("ddic", cls=LazyGroup)
+@click.command("ddic", cls=LazyGroup, context_settings={"show_default": True})
 @click.version_option(__version__, prog_name="ddic")
 def command_line() -> None:
     """Finite element digital image correlation by dual domain decomposition over MPI."""
 
 
-frame_option = click.option("--frame", type=click.IntRange(1), default=None, metavar="N",
+frame_option = click.option("--frame", type=click.IntRange(1), metavar="N",
                             help="Frame of a series that is taken, by its number.")
 """Of a command that has a parameter ``frame`` (int or None)."""

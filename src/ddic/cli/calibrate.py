@@ -11,8 +11,8 @@ import click
 from ddic.cli.failures import failures_as_lines, warnings_as_lines
 
 if TYPE_CHECKING:
-    from ddic.calibration.camera_models import Kind
     from ddic.calibration.near import Calibration
+    from ddic.calibration.registration import Kind
 
 Lines = list[tuple[str, str]]
 
@@ -22,9 +22,9 @@ Lines = list[tuple[str, str]]
 @click.argument("near", metavar="NEAR", type=click.Path(path_type=Path))
 @click.option("--ratio", type=float, required=True, help="Near px per far px, right within 15 %.")
 @click.option("--model", type=click.Choice(["translation", "similarity", "homography"]), default="homography",
-              show_default=True, help="What is solved for; a translation keeps the ratio as given.")
+              help="What is solved for; a translation keeps the ratio as given.")
 @click.option("--distortion", is_flag=True, help="Also solve for the near camera's radial distortion k1.")
-@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), default=None,
+@click.option("--output", type=click.Path(dir_okay=False, path_type=Path),
               help="Mapping file for near.mapping_file of a case.")
 def calibrate_near(far: Path, near: Path, ratio: float, model: Kind, distortion: bool, output: Path | None) -> None:
     """Find the mapping from the far to the near reference image of one specimen, and its uncertainty.
@@ -32,10 +32,13 @@ def calibrate_near(far: Path, near: Path, ratio: float, model: Kind, distortion:
     The near field must lie in the far image, turned by 5 degrees at most.
     """
     # Imported here because they bring numba, SciPy and OpenCV, which --help does not need.
+    import numpy as np
+
     from ddic.calibration.near import calibrate_near_camera
     from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
     from ddic.io.image_file import hold_image
+    from ddic.io.mapping_file import MappingFile, write_mapping
 
     with failures_as_lines(output):
         if output is not None:
@@ -46,22 +49,13 @@ def calibrate_near(far: Path, near: Path, ratio: float, model: Kind, distortion:
                 check_finite(image)
             found = calibrate_near_camera(images[0], images[1], ratio, model, distortion)
         if output is not None:
-            _write(output, found)
+            write_mapping(output, MappingFile(found.mapping, found.far_size, found.near_size, found.homography_std,
+                                              np.array([found.k1_std, 0.0]), float(found.places_std.max()),
+                                              found.registration.coefficient))
     for name, value in _lines(found):
         click.echo(f"{name:<20}{value}")
     if output is not None:
         click.echo(f"{'mapping file':<20}{output}")
-
-
-def _write(path: Path, found: Calibration) -> None:
-    """Write the mapping file of a calibration."""
-    import numpy as np
-
-    from ddic.io.mapping_file import MappingFile, write_mapping
-
-    write_mapping(path, MappingFile(found.mapping, found.far_size, found.near_size, found.homography_std,
-                                    np.array([found.k1_std, 0.0]), float(found.places_std.max()),
-                                    found.registration.coefficient))
 
 
 def _lines(found: Calibration) -> Lines:

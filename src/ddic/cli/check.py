@@ -20,7 +20,7 @@ ENDINGS = (".png", ".pdf", ".svg")
 
 @click.command()
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
-@click.option("--plot", "drawing", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+@click.option("--plot", "drawing", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
               help="Also draw the mesh over the reference image, as .png, .pdf or .svg.")
 def check(case_file: Path, drawing: Path | None) -> None:
     """Validate all inputs of a case file without solving.

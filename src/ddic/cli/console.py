@@ -149,20 +149,16 @@ class RunConsole:
             self._print("estimated displacement error left by the linear solver: "
                         f"{summary.linear_error_px:.1e} px RMS")
         if math.isfinite(summary.noise_floor_px):
-            self._print(_describe_noise_floor(summary))
+            last = list(summary.iteration_table.get("rms_correction_px", ()))
+            beside = f"; the last correction was {last[-1]:.1e} px RMS" if last else ""
+            self._print(f"noise floor: {summary.noise_floor_px:.2g} px RMS a component, were the residual all noise"
+                        f"{beside}")
         if summary.n_pixels_outside:
             self._print(f"{summary.n_pixels_outside} pixels were left out: mapped outside the deformed image or onto "
                         "excluded pixels of it")
         self._print(f"seconds by phase: {seconds}")
         self._print(f"peak memory by rank [MiB]: {memory}")
         self._print(f"result: {summary.result_file}")
-
-
-def _describe_noise_floor(summary: Summary) -> str:
-    """What noise leaves, beside the correction at which the iteration stopped."""
-    line = f"noise floor: {summary.noise_floor_px:.2g} px RMS a component, were the residual all noise"
-    last = list(summary.iteration_table.get("rms_correction_px", ()))
-    return f"{line}; the last correction was {last[-1]:.1e} px RMS" if last else line
 
 
 def _count(number: int, noun: str) -> str:

@@ -49,8 +49,18 @@ def require_surroundings() -> None:
     The DdicError says what is needed.
     """
     _require_address_space()
-    _require_clock()
-    _require_working_folder()
+    try:
+        # At nanoseconds beyond 2262 Python's own modules fail when they are imported.
+        time.time()
+    except OverflowError as error:
+        raise DdicError("the system's clock stands before 1678 or after 2261, of which Python cannot tell the time: "
+                        "set it right (date)") from error
+    try:
+        # Neither names of files nor PETSc begin in a folder that was deleted.
+        os.getcwd()
+    except OSError as error:
+        raise InputError(f"the working directory cannot be found ({error.strerror}): it was deleted or closed; change "
+                         "to another one") from error
     prepare_idle_threads()
 
 
@@ -72,24 +82,6 @@ def _require_address_space() -> None:
     if limit < LEAST_BYTES:
         raise DdicError(f"the address space of a process is limited to {limit / 2**20:.0f} MiB (ulimit -v), ddic needs "
                         f"{LEAST_BYTES / 2**20:.0f} MiB and what the images take: raise the limit")
-
-
-def _require_clock() -> None:
-    """Refuse a clock beyond 2262, at whose nanoseconds Python's own modules fail when they are imported."""
-    try:
-        time.time()
-    except OverflowError as error:
-        raise DdicError("the system's clock stands before 1678 or after 2261, of which Python cannot tell the time: "
-                        "set it right (date)") from error
-
-
-def _require_working_folder() -> None:
-    """Refuse to work in a folder that was deleted: neither names of files nor PETSc begin without it."""
-    try:
-        os.getcwd()
-    except OSError as error:
-        raise InputError(f"the working directory cannot be found ({error.strerror}): it was deleted or closed; change "
-                         "to another one") from error
 
 
 TIMEOUT = "18"

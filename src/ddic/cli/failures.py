@@ -91,8 +91,6 @@ def failures_as_lines(target: Path | None = None, passed: tuple[type[BaseExcepti
     """
     try:
         yield
-    except SystemExit:
-        raise
     except passed:
         raise
     except (Exception, KeyboardInterrupt) as error:

@@ -47,8 +47,8 @@ def _format(lines: Lines) -> list[str]:
 
 
 def _describe(file: Path, frame: int | None) -> list[str]:
-    # Imported here because HDF5 and OpenCV are not needed by --help.
     """What a file holds, in lines."""
+    # Imported here because HDF5 and OpenCV are not needed by --help.
     from ddic.io.input_file import require_file
     from ddic.io.series_reader import is_series_file, read_frame, read_series
 
@@ -96,11 +96,24 @@ def _image_lines(file: Path) -> Lines:
 
 
 def _list_series_lines(series: SeriesResult) -> list[str]:
-    """What all frames of a series come to, a table of them, and what the first of them holds."""
+    """What all frames of a series, at least one, come to, a table of them, and what the first of them holds."""
+    # Imported here because HDF5 is not needed by --help.
+    from ddic.io.series_reader import find_displacement_range
+
+    times = [float(record["time"]) for record in series.records]
+    n_failed = len(series.records) - len(series)
+    failed = f", {n_failed} of them not measured" if n_failed else ""
+    low, high = find_displacement_range(series)
+    of_all = [
+        ("series", str(series.path)),
+        ("frames", f"{len(series.records)}{failed}"),
+        ("times", f"{times[0]:g} to {times[-1]:g}"),
+        ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px in all frames"),
+        ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px in all frames"),
+    ]
     said = ("result", "displacement x", "displacement y")
     of_first = [line for line in _result_lines(series[0]) if line[0] not in said]
-    return [*_format(_describe_frames(series)), *_list_frame_rows(series), f"of frame {series.numbers[0]}:",
-            *_format(of_first)]
+    return [*_format(of_all), *_list_frame_rows(series), f"of frame {series.numbers[0]}:", *_format(of_first)]
 
 
 def _result_lines(result: Result) -> Lines:
@@ -137,20 +150,13 @@ def _result_lines(result: Result) -> Lines:
         amplitudes = np.sqrt((separated.amplitudes**2).sum(axis=1))
         lines.append(("RMS of modes", ", ".join(f"{size:.3g}" for size in amplitudes[:MOST_MODES]) + " px"))
     else:
-        lines += _linear_steps(result)
+        table = result.gauss_newton
+        n_local = int(sum(table.get("of_slow_nodes", ())))
+        alone = f", {n_local} of them of slow nodes alone" if n_local else ""
+        lines += [("Gauss-Newton", f"{max(map(len, table.values()), default=0)} iterations{alone}"),
+                  ("Krylov", ", ".join(str(max(len(h) - 1, 0)) for h in result.krylov) or "none")]
     for group, values in result.attributes.items():
         lines += [(f"{group}.{name}", _short(value)) for name, value in sorted(values.items())]
-    return lines
-
-
-def _linear_steps(result: Result) -> Lines:
-    """Of Gauss-Newton and its linear steps."""
-    lines = []
-    table = result.gauss_newton
-    n_local = int(sum(table.get("of_slow_nodes", ())))
-    alone = f", {n_local} of them of slow nodes alone" if n_local else ""
-    lines.append(("Gauss-Newton", f"{max(map(len, table.values()), default=0)} iterations{alone}"))
-    lines.append(("Krylov", ", ".join(str(max(len(h) - 1, 0)) for h in result.krylov) or "none"))
     return lines
 
 
@@ -167,24 +173,6 @@ TEXTS = ("image", "started from")
 """Columns that begin where their heads begin; numbers end where theirs end."""
 
 
-def _describe_frames(series: SeriesResult) -> list[tuple[str, str]]:
-    """Describe what all frames of a series, at least one, come to: names and values."""
-    # Imported here because HDF5 is not needed by --help.
-    from ddic.io.series_reader import find_displacement_range
-
-    times = [float(record["time"]) for record in series.records]
-    n_failed = len(series.records) - len(series)
-    failed = f", {n_failed} of them not measured" if n_failed else ""
-    low, high = find_displacement_range(series)
-    return [
-        ("series", str(series.path)),
-        ("frames", f"{len(series.records)}{failed}"),
-        ("times", f"{times[0]:g} to {times[-1]:g}"),
-        ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px in all frames"),
-        ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px in all frames"),
-    ]
-
-
 def _list_frame_rows(series: SeriesResult) -> list[str]:
     """List the frames of a series as lines of a table: a head, and a line each.
 
@@ -193,12 +181,9 @@ def _list_frame_rows(series: SeriesResult) -> list[str]:
     rows = [_list_cells(record) for record in series.records]
     widths = [max(len(head), *(len(row[k]) for row in rows if k < len(row) - 1 or len(row) == len(COLUMNS)))
               for k, head in enumerate(COLUMNS)]
-    aligned = [[_align(*cell) for cell in zip(row, COLUMNS, widths, strict=False)] for row in (list(COLUMNS), *rows)]
+    aligned = [[cell.ljust(width) if head in TEXTS else cell.rjust(width)
+                for cell, head, width in zip(row, COLUMNS, widths, strict=False)] for row in (list(COLUMNS), *rows)]
     return ["  ".join(row).rstrip() for row in aligned]
-
-
-def _align(cell: str, head: str, width: int) -> str:
-    return cell.ljust(width) if head in TEXTS else cell.rjust(width)
 
 
 def _list_cells(record: Mapping[str, Any]) -> list[str]:
@@ -218,10 +203,10 @@ def _format_number(value: float | None, form: str) -> str:
 
 @click.command()
 @click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
-@click.option("--image", type=click.Path(path_type=Path), default=None,
+@click.option("--image", type=click.Path(path_type=Path),
               help="Reference image; by default the one named in the result, if it is still there.")
 @frame_option
-@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False),
               help="Page to write; by default RESULT.report.html beside it.")
 def report(file: Path, image: Path | None, frame: int | None, output: Path | None) -> None:
     """Write one self-contained HTML page on a result: fields, residual, convergence, what guides ask to be stated.

@@ -34,38 +34,36 @@ MOVING = ("gif", "mp4")
 
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
-@click.option("--kind", type=click.Choice([*KINDS, CURVES, "all"]), default="all", show_default=True,
+@click.option("--kind", type=click.Choice([*KINDS, CURVES, "all"]), default="all",
               help="Figure to draw; all draws what the file allows, but not displacement and signed-residual; of a "
                    "series without --frame and --animate it draws curves over time.")
 @frame_option
 @click.option("--animate", is_flag=True, help="All frames of a series, one after the other, with the same colours.")
-@click.option("--fps", type=click.FloatRange(0.1, 100.0), default=5.0, show_default=True,
-              help="Frames a second of an animation.")
+@click.option("--fps", type=click.FloatRange(0.1, 100.0), default=5.0, help="Frames a second of an animation.")
 @click.option("--component", type=click.Choice(["x", "y", "magnitude"]), default="magnitude",
-              show_default=True, help="Displacement component in colour.")
-@click.option("--strain", "number", type=click.Choice(NUMBERS), default=None,
+              help="Displacement component in colour.")
+@click.option("--strain", "number", type=click.Choice(NUMBERS),
               help="Strain in colour; by default a panel each of xx, yy and xy.")
-@click.option("--measure", type=click.Choice(MEASURES), default="infinitesimal", show_default=True,
-              help="Strain tensor that is drawn.")
+@click.option("--measure", type=click.Choice(MEASURES), default="infinitesimal", help="Strain tensor that is drawn.")
 @click.option("--by-cell", is_flag=True, help="Draw the strain in the middle of cells, not that recovered at nodes.")
-@click.option("--limits", type=(float, float), default=None, metavar="LOW HIGH",
+@click.option("--limits", type=(float, float), metavar="LOW HIGH",
               help="Where colours begin and end, in the unit of the colour bar.")
-@click.option("--amplification", type=float, default=None,
+@click.option("--amplification", type=float,
               help="Factor on the whole displacement of the deformed mesh; by default rigid motion is taken out, and "
                    "what is left is amplified as far as no cell folds.")
-@click.option("--line", type=(float, float, float, float), default=None, metavar="X1 Y1 X2 Y2",
+@click.option("--line", type=(float, float, float, float), metavar="X1 Y1 X2 Y2",
               help="Ends of the line of --kind line, pixels of the reference image.")
-@click.option("--units", type=click.Choice(["px", "physical"]), default=None,
+@click.option("--units", type=click.Choice(["px", "physical"]),
               help="Of lengths; by default physical where the case gives images.pixel_size.")
-@click.option("--other", type=click.Path(path_type=Path), default=None,
+@click.option("--other", type=click.Path(path_type=Path),
               help="Second result: its difference is drawn, and its Krylov curves beside the first one's.")
-@click.option("--image", type=click.Path(path_type=Path), default=None,
+@click.option("--image", type=click.Path(path_type=Path),
               help="Reference image; by default the one named in the result, if it is still there.")
-@click.option("--format", "ending", type=click.Choice([*FORMATS, *MOVING]), default=None,
+@click.option("--format", "ending", type=click.Choice([*FORMATS, *MOVING]),
               help="Of the pictures, png by default, or of an animation, gif by default; mp4 needs ffmpeg.")
-@click.option("--dpi", type=click.IntRange(20, 2400), default=150, show_default=True,
+@click.option("--dpi", type=click.IntRange(20, 2400), default=150,
               help="Dots an inch; in PDF and SVG of images and colours alone.")
-@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False),
               help="Folder of the pictures; by default that of FILE.")
 def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
          component: Literal["x", "y", "magnitude"], number: str | None,
@@ -79,8 +77,9 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     """
     # Imported here because matplotlib is not needed by --help.
     from ddic.cli.plot_figures import Drawing, Look, PageFiles, plot_animation, plot_curves, plot_pictures
+    from ddic.io.result_schema import TIME
     from ddic.io.series_reader import is_series_file, read_frame, read_series
-    from ddic.plots.canvas import find_length_unit
+    from ddic.plots.canvas import find_length_unit, format_caption
     from ddic.plots.maps import StrainChoice
 
     folder = file.parent if output is None else output
@@ -108,7 +107,8 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
         if series is not None:
             plot_animation(series, kind, drawing, pages, fps)
         else:
-            plot_pictures(kinds, drawing, pages, None if frame is None else _find_caption(file, frame))
+            caption = None if frame is None else format_caption(frame, float(result.attributes[TIME]["deformed"]))
+            plot_pictures(kinds, drawing, pages, caption)
 
 
 def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
@@ -166,15 +166,6 @@ def _choose_kinds(asked: str, result: Result, other: Result | None) -> list[str]
     if NODAL_INFINITESIMAL not in result.point_data:
         left_out.add("strain")
     return [kind for kind in KINDS if kind not in left_out]
-
-
-def _find_caption(file: Path, frame: int) -> str:
-    """What stands above the pictures of a frame."""
-    from ddic.io.series_reader import read_series
-    from ddic.plots.canvas import format_caption
-
-    times = {record["number"]: float(record["time"]) for record in read_series(file).records}
-    return format_caption(frame, times[frame])
 
 
 def _read_reference(result: Result, image: Path | None) -> Preview | None:

@@ -15,33 +15,8 @@ from ddic.io.replace_on_exit import made_folder, replaced_together
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import CAMERA
 from ddic.io.series_reader import SeriesResult, gather_history
-from ddic.plots.canvas import (
-    Component,
-    LengthUnit,
-    Limits,
-    choose_limits,
-    draw_caption,
-    draw_failures,
-    find_length_unit,
-    format_caption,
-    pick_component,
-    save_figure,
-)
+from ddic.plots import canvas, maps
 from ddic.plots.curves import draw_corrections, draw_krylov, draw_line, draw_modes, draw_opening
-from ddic.plots.maps import (
-    Preview,
-    SharedView,
-    StrainChoice,
-    draw_deformed,
-    draw_difference,
-    draw_displacement,
-    draw_near_far,
-    draw_residual,
-    draw_strain,
-    find_residual_limits,
-    find_shared_view,
-    list_strain_panels,
-)
 from ddic.plots.partition import draw_partition
 from ddic.plots.series import draw_time_curves, write_animation
 
@@ -91,11 +66,11 @@ class Look:
         Of colours; those of all frames where it is None.
     """
 
-    component: Component
-    strain: StrainChoice
+    component: canvas.Component
+    strain: maps.StrainChoice
     amplification: float | None
-    unit: LengthUnit
-    limits: Limits | None
+    unit: canvas.LengthUnit
+    limits: canvas.Limits | None
 
 
 @dataclass(frozen=True)
@@ -110,8 +85,8 @@ class SharedScale:
         Of deformed meshes.
     """
 
-    limits: Sequence[Limits]
-    view: SharedView | None
+    limits: Sequence[canvas.Limits]
+    view: maps.SharedView | None
 
 
 @dataclass(frozen=True)
@@ -135,7 +110,7 @@ class Drawing:
     result: Result
     other: Result | None
     look: Look
-    preview: Preview | None
+    preview: maps.Preview | None
     line: tuple[float, float, float, float] | None
     files: tuple[Path | None, ...]
 
@@ -171,13 +146,11 @@ def plot_pictures(kinds: Sequence[str], drawing: Drawing, pages: PageFiles, capt
     with made_folder(pages.folder), replaced_together() as files:
         for kind, target in zip(kinds, targets, strict=True):
             figure = _draw(kind, drawing)
-            shown = [drawing.result]
-            if kind in OF_BOTH and drawing.other is not None:
-                shown.append(drawing.other)
-            draw_failures(figure, shown)
+            others = [drawing.other] if kind in OF_BOTH and drawing.other is not None else []
+            canvas.draw_failures(figure, [drawing.result, *others])
             if caption is not None:
-                draw_caption(figure, caption)
-            save_figure(figure, target, pages.dpi, files)
+                canvas.draw_caption(figure, caption)
+            canvas.save_figure(figure, target, pages.dpi, files)
     for target in targets:
         click.echo(target)
 
@@ -192,7 +165,7 @@ def plot_animation(series: SeriesResult, kind: str, drawing: Drawing, pages: Pag
         """Draw the frames, which are read one by one, a page each with its number and time."""
         for number, time, result in zip(series.numbers, series.times, series, strict=True):
             page = _draw(kind, replace(drawing, result=result), scale)
-            draw_caption(page, format_caption(int(number), float(time)))
+            canvas.draw_caption(page, canvas.format_caption(int(number), float(time)))
             yield page
 
     # Titles may take one line in a frame and two in another: the highest page is known once all were laid out.
@@ -209,10 +182,10 @@ def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> No
     """
     target = pages.to_path("curves")
     require_own_output(target, PICTURE, (series.path,))
-    unit = find_length_unit(series[0], units)
+    unit = canvas.find_length_unit(series[0], units)
     figure = draw_time_curves(gather_history(series), series.path.name, unit)
     with made_folder(pages.folder):
-        save_figure(figure, target, pages.dpi)
+        canvas.save_figure(figure, target, pages.dpi)
     click.echo(target)
 
 
@@ -226,16 +199,16 @@ def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScal
     low, high = found[..., 0].min(axis=0).tolist(), found[..., 1].max(axis=0).tolist()
     limits = list(zip(low, high, strict=True))
     return SharedScale(limits if look.limits is None else [look.limits] * len(limits),
-                       find_shared_view(series, look.amplification, look.unit) if kind == "deformed" else None)
+                       maps.find_shared_view(series, look.amplification, look.unit) if kind == "deformed" else None)
 
 
-def _find_limits(result: Result, kind: str, look: Look) -> Sequence[Limits]:
+def _find_limits(result: Result, kind: str, look: Look) -> Sequence[canvas.Limits]:
     """Where the colours of a frame by itself begin and end, a panel each."""
     if kind == "strain":
-        return [choose_limits(panel.values) for panel in list_strain_panels(result, look.strain)]
+        return [canvas.choose_limits(panel.values) for panel in maps.list_strain_panels(result, look.strain)]
     if kind in ("residual", "signed-residual"):
-        return [find_residual_limits(result, signed=kind == "signed-residual")]
-    return [choose_limits(look.unit.size * pick_component(result.displacement, look.component))]
+        return [maps.find_residual_limits(result, signed=kind == "signed-residual")]
+    return [canvas.choose_limits(look.unit.size * canvas.pick_component(result.displacement, look.component))]
 
 
 def _draw(kind: str, drawing: Drawing, scale: SharedScale | None = None) -> Figure:
@@ -247,15 +220,15 @@ def _draw(kind: str, drawing: Drawing, scale: SharedScale | None = None) -> Figu
         limits, of_panels, view = scale.limits[0], scale.limits, scale.view
     by_kind: dict[str, Callable[[], Figure]] = {
         "partition": lambda: draw_partition(result, preview, unit),
-        "deformed": lambda: draw_deformed(result, component, look.amplification, unit, limits, view),
-        "displacement": lambda: draw_displacement(result, preview, component, unit, limits),
-        "strain": lambda: draw_strain(result, look.strain, unit, limits, of_panels),
-        "residual": lambda: draw_residual(result, unit=unit, limits=limits),
-        "signed-residual": lambda: draw_residual(result, signed=True, unit=unit, limits=limits),
-        "difference": lambda: draw_difference(result, drawing.other or result, component, unit, limits),
+        "deformed": lambda: maps.draw_deformed(result, component, look.amplification, unit, limits, view),
+        "displacement": lambda: maps.draw_displacement(result, preview, component, unit, limits),
+        "strain": lambda: maps.draw_strain(result, look.strain, unit, limits, of_panels),
+        "residual": lambda: maps.draw_residual(result, unit=unit, limits=limits),
+        "signed-residual": lambda: maps.draw_residual(result, signed=True, unit=unit, limits=limits),
+        "difference": lambda: maps.draw_difference(result, drawing.other or result, component, unit, limits),
         "krylov": lambda: _draw_krylov(result, drawing.other),
         "opening": lambda: _draw_opening(result, unit),
-        "near-far": lambda: draw_near_far(result, component, unit),
+        "near-far": lambda: maps.draw_near_far(result, component, unit),
         "line": lambda: draw_line(result, drawing.line or (0.0, 0.0, 0.0, 0.0), unit),
         "corrections": lambda: draw_corrections(result.corrections),
     }
@@ -265,12 +238,16 @@ def _draw(kind: str, drawing: Drawing, scale: SharedScale | None = None) -> Figu
 
 
 def _draw_krylov(result: Result, other: Result | None) -> Figure:
-    """Convergence of one result or two."""
+    """Convergence of one result or two, which files' names tell apart, with their folders where these are the same."""
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
-    return draw_krylov({_label(one, results): one.krylov for one in results})
+    if len(results) == 1:
+        return draw_krylov({"": results[0].krylov})
+    names = [one.path.name for one in results]
+    return draw_krylov({str(one.path) if names.count(name) > 1 else name: one.krylov
+                        for name, one in zip(names, results, strict=True)})
 
 
-def _draw_opening(result: Result, unit: LengthUnit) -> Figure:
+def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
     """Opening of all lines."""
     found = measure_openings(result)
     return draw_opening({f"line {number}": (unit.size * of_line.distance, unit.size * of_line.tangential,
@@ -278,9 +255,3 @@ def _draw_opening(result: Result, unit: LengthUnit) -> Figure:
                          for number, of_line in enumerate(found, start=1)}, unit)
 
 
-def _label(result: Result, among: list[Result]) -> str:
-    """File name, with its folder where two results have the same one; none where it is the only result."""
-    names = [one.path.name for one in among]
-    if len(among) == 1:
-        return ""
-    return str(result.path) if names.count(result.path.name) > 1 else result.path.name

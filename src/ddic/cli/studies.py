@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -17,6 +18,7 @@ from ddic.errors import InputError, is_disk_failure
 
 if TYPE_CHECKING:
     from ddic.api.studies import Uncertainty
+    from ddic.arrays import Array
     from ddic.parallel.team import Team
     from ddic.results.sweep import Sweep
 
@@ -26,11 +28,11 @@ LOG_WIDTH = 160
 
 @click.command()
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
-@click.option("--lengths", default=None, metavar="L,L,...",
+@click.option("--lengths", metavar="L,L,...",
               help="Cut-off wavelengths, px; 0 for no regularization.  [default: none and nine about the case's own]")
-@click.option("--elements", default=None, metavar="H,H,...",
+@click.option("--elements", metavar="H,H,...",
               help="Sizes of the elements of a structured mesh, px.  [default: five about the case's own]")
-@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False),
               help="Folder of the table and the figure; by default that of CASE.toml.")
 def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Path | None) -> None:
     """Recommend a cut-off wavelength and an element size; alone or under mpirun.
@@ -43,13 +45,12 @@ def sweep(case_file: Path, lengths: str | None, elements: str | None, output: Pa
 
     team = Team.world()
     take_closed_pipes_as_errors()
-    folder = case_file.parent if output is None else output
     try:
         chosen = team.together(lambda: (_parse_candidates(lengths, "--lengths"),
                                         _parse_candidates(elements, "--elements")))
-        team.on_root(lambda: _check_outputs(case_file, folder))
+        table, figure = team.on_root(lambda: _choose_outputs(case_file, output, "sweep"))
         found = _try_all(team, case_file, *chosen)
-        lines = team.on_root(lambda: _write_sweep(found, folder, case_file.stem))
+        lines = team.on_root(lambda: _write_sweep(found, table, figure))
     except Exception as error:
         code = show_failure(team, error)
         abort_quietly(team, code)
@@ -90,15 +91,14 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
         return choose_regularization(case_file, wavelengths=lengths, element_sizes=elements, advance=advance)
 
 
-def _write_sweep(found: Sweep, folder: Path, stem: str) -> list[str]:
+def _write_sweep(found: Sweep, table: Path, figure: Path) -> list[str]:
     """Write table and figure; returns the lines that say what was found and where it is."""
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.plots.canvas import save_figure
     from ddic.plots.curves import draw_sweep
     from ddic.results.sweep import collect_by_size, list_failures, write_sweep
 
-    table, figure = _list_outputs(folder, stem)
-    best = found.best
+    best, folder = found.best, table.parent
     title = f"recommended: {best.candidate.describe()} (error of {best.virtual_error:.2g} px on the virtual images)"
     try:
         with made_folder(folder), replaced_together() as files:
@@ -113,18 +113,20 @@ def _write_sweep(found: Sweep, folder: Path, stem: str) -> list[str]:
     return [*list_failures(found), noise, *said, str(table), str(figure)]
 
 
-def _check_outputs(case_file: Path, folder: Path) -> None:
-    """Refuse outputs that would replace an input."""
+def _choose_outputs(case_file: Path, folder: Path | None, study: Literal["sweep", "uncertainty"]) -> tuple[Path, Path]:
+    """Table and figure of a study, beside the case where no folder is given; refused where they would replace others.
+
+    Others are all files but earlier ones of the study.
+    """
     from ddic.case.loader import load_case
-    from ddic.case.own_outputs import PICTURE, TRIALS, require_own_output
+    from ddic.case.own_outputs import PICTURE, TRIALS, UNCERTAINTY, require_own_output
 
-    for path, kind in zip(_list_outputs(folder, case_file.stem), (TRIALS, PICTURE), strict=True):
-        require_own_output(path, kind, load_case(case_file).list_inputs())
-
-
-def _list_outputs(folder: Path, stem: str) -> tuple[Path, Path]:
-    """Table and figure of a case file."""
-    return folder / f"{stem}.sweep.csv", folder / f"{stem}.sweep.png"
+    beginning = (case_file.parent if folder is None else folder) / f"{case_file.stem}.{study}"
+    table, figure = Path(f"{beginning}.csv"), Path(f"{beginning}.png")
+    inputs = load_case(case_file).list_inputs()
+    require_own_output(table, TRIALS if study == "sweep" else UNCERTAINTY, inputs)
+    require_own_output(figure, PICTURE, inputs)
+    return table, figure
 
 
 def _print_table(found: Sweep) -> None:
@@ -148,12 +150,11 @@ def _print_table(found: Sweep) -> None:
 
 @click.command()
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
-@click.option("--sizes", default="8,16,32,64", show_default=True, help="Sizes of the elements, px.")
-@click.option("--displacements", type=click.IntRange(2), default=11, show_default=True,
-              help="Number of displacements from 0 to 1 px.")
-@click.option("--noise", type=click.FloatRange(0.0), default=0.0, show_default=True,
+@click.option("--sizes", default="8,16,32,64", help="Sizes of the elements, px.")
+@click.option("--displacements", type=click.IntRange(2), default=11, help="Number of displacements from 0 to 1 px.")
+@click.option("--noise", type=click.FloatRange(0.0), default=0.0,
               help="Standard deviation of noise that is added to both images, grey levels.")
-@click.option("--output", type=click.Path(path_type=Path, file_okay=False), default=None,
+@click.option("--output", type=click.Path(path_type=Path, file_okay=False),
               help="Folder of the table and the figure; by default that of CASE.toml.")
 def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, output: Path | None) -> None:
     """Measure known displacements of the case's reference image with continuous and with enriched elements.
@@ -166,19 +167,15 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     # Imported here because they bring numba, PETSc and matplotlib, which --help does not need.
     from ddic.api.studies import BASES, estimate_uncertainty
     from ddic.case.loader import load_case
-    from ddic.case.own_outputs import PICTURE, UNCERTAINTY, require_own_output
     from ddic.io.image_file import open_image
     from ddic.io.replace_on_exit import made_folder, replaced_together
     from ddic.plots.canvas import save_figure
     from ddic.plots.curves import draw_uncertainty
 
     folder = case_file.parent if output is None else output
-    table, figure = (folder / f"{case_file.stem}.uncertainty.{ending}" for ending in ("csv", "png"))
     with failures_as_lines(folder):
-        loaded = load_case(case_file)
-        for path, kind in ((table, UNCERTAINTY), (figure, PICTURE)):
-            require_own_output(path, kind, loaded.list_inputs())
-        case = loaded.case
+        table, figure = _choose_outputs(case_file, folder, "uncertainty")
+        case = load_case(case_file).case
         image = open_image(case.images.reference)
         of_elements = _parse_numbers(sizes, "--sizes", "8,16,32")
         line = case.discontinuity[0] if case.discontinuity else None
@@ -189,19 +186,17 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise,
                                      options=options, discontinuity=section)
         with made_folder(folder), replaced_together() as files:
-            _write_errors(found, files.begin(table))
+            _write_errors(found, BASES, files.begin(table))
             save_figure(draw_uncertainty(found.sizes, found.deviation, BASES), figure, files=files)
     take_closed_pipes_as_errors()
-    for line_of_table in _list_deviations(found):
+    for line_of_table in _list_deviations(found, BASES):
         click.echo(line_of_table)
     click.echo(table)
     click.echo(figure)
 
 
-def _write_errors(found: Uncertainty, path: Path) -> None:
+def _write_errors(found: Uncertainty, bases: Sequence[str], path: Path) -> None:
     """A row for each kind, element size, displacement and basis."""
-    from ddic.api.studies import BASES
-
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(["kind", "element_size_px", "displacement_px", "elements", "bias_px", "deviation_px"])
@@ -209,21 +204,18 @@ def _write_errors(found: Uncertainty, path: Path) -> None:
             for s, size in enumerate(found.sizes):
                 for k, amplitude in enumerate(found.amplitudes):
                     table.writerows([kind, f"{size:g}", f"{amplitude:g}", basis, f"{found.bias[kind][s, k, b]:.4g}",
-                                     f"{deviation[s, k, b]:.4g}"] for b, basis in enumerate(BASES))
+                                     f"{deviation[s, k, b]:.4g}"] for b, basis in enumerate(bases))
 
 
-def _list_deviations(found: Uncertainty) -> list[str]:
+def _list_deviations(found: Uncertainty, bases: Sequence[str]) -> list[str]:
     """Lines of a table: standard deviations, the largest over displacements."""
-    from ddic.api.studies import BASES
-
     lines = ["standard deviation of the displacement [px], the largest over displacements",
              f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.sizes)]
-    for kind, deviation in found.deviation.items():
-        for b, basis in enumerate(BASES):
-            largest = deviation[:, :, b].max(axis=1)
-            lines.append(f"{kind:<16}{basis:<12}" + "".join(f"{value:12.2e}" for value in largest))
+    # (n_sizes, n_bases) each
+    rows: dict[str, Array] = {kind: deviation.max(axis=1) for kind, deviation in found.deviation.items()}
     if found.noise:
-        for b, basis in enumerate(BASES):
-            listed = "".join(f"{value:12.2e}" for value in found.predicted_noise[:, b])
-            lines.append(f"{'predicted noise':<16}{basis:<12}{listed}")
+        rows["predicted noise"] = found.predicted_noise
+    for kind, values in rows.items():
+        lines += [f"{kind:<16}{basis:<12}" + "".join(f"{value:12.2e}" for value in column)
+                  for basis, column in zip(bases, values.T, strict=True)]
     return lines

@@ -62,14 +62,13 @@ def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
     ``size`` is the default of --size, ``files`` what --output will hold.
     """
     options = (
-        click.option("--size", callback=parse_size, default=size, show_default=True,
-                     metavar="WIDTHxHEIGHT", help="Size, pixels."),
-        click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8", show_default=True,
+        click.option("--size", callback=parse_size, default=size, metavar="WIDTHxHEIGHT", help="Size, pixels."),
+        click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8",
                      help="8 or 16 bit, or 32 for float values on the scale 0..255."),
-        click.option("--noise", type=float, default=0.0, show_default=True,
+        click.option("--noise", type=float, default=0.0,
                      help="Standard deviation of the noise of all images, 8-bit grey levels."),
-        click.option("--seed", type=int, default=0, show_default=True, help="Seed of speckle and noise."),
-        click.option("--speckle-size", type=float, default=1.0, show_default=True,
+        click.option("--seed", type=int, default=0, help="Seed of speckle and noise."),
+        click.option("--speckle-size", type=float, default=1.0,
                      help="Magnification of the speckle; 1 has spots of about 5 px."),
         click.option("--output", type=click.Path(file_okay=False, path_type=Path), required=True,
                      help=f"Folder for {files}."),
@@ -124,13 +123,12 @@ def _require_free(paths: Sequence[Path], record: dict[str, Any]) -> None:
     is_set = len(taken) == len(paths) and all(map(_is_plain, taken))
     # A device may have no end.
     before = _read_truth(paths[-1]) if is_set else {}
-    is_set = before.get("format") == record["format"]
-    if is_set and before == json.loads(json.dumps(convert_to_json(record))):
+    if before == json.loads(json.dumps(convert_to_json(record))):
         # The same images again.
         return
     for path in paths:
         require_no_input(path)
-    if not is_set or ("near" in before) != ("near" in record):
+    if before.get("format") != record["format"] or ("near" in before) != ("near" in record):
         raise InputError(f"{taken[0]}: is there already, and not of a whole set that ddic synth made; remove it, or "
                          "choose another --output")
 
@@ -155,32 +153,29 @@ _FILES = "far_reference.tif, far_deformed.tif, near_reference.tif, near_deformed
 
 
 @click.command("near-far")
-@click.option("--ratio", type=float, default=5.0, show_default=True, help="Near pixels per far pixel.")
-@click.option("--near-center", type=float, nargs=2, default=None,
+@click.option("--ratio", type=float, default=5.0, help="Near pixels per far pixel.")
+@click.option("--near-center", type=float, nargs=2,
               help="Of the near field, x y, far px.  [default: beside the hole, its right edge inside]")
-@click.option("--near-angle", type=float, default=0.0, show_default=True,
+@click.option("--near-angle", type=float, default=0.0,
               help="Of the near picture against the far one, from x towards y, degrees.")
-@click.option("--tilt", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Of the near camera: how much farther, as a fraction, the specimen is at the near field's right "
-                   "and lower edge than at its centre.")
-@click.option("--alpha", type=float, nargs=2, default=(3.7, -2.2), show_default=True,
+@click.option("--tilt", type=float, nargs=2, default=(0.0, 0.0),
+              help="Of the near camera: how much farther, as a fraction, the specimen is at the near field's right and "
+                   "lower edge than at its centre.")
+@click.option("--alpha", type=float, nargs=2, default=(3.7, -2.2),
               help="Translation of the near set-up between its two pictures, far px.")
-@click.option("--rotation", type=float, default=0.0, show_default=True,
+@click.option("--rotation", type=float, default=0.0,
               help="Rotation of the near set-up between its two pictures, about the near field's centre, degrees.")
-@click.option("--center", type=float, nargs=2, default=None,
-              help="Of the hole, x y, far px.  [default: the far image's centre]")
-@click.option("--radius", type=float, default=None,
-              help="Of the hole, far px.  [default: a tenth of the far image's shorter side]")
-@click.option("--strain", type=float, default=0.005, show_default=True, help="Far-field stress over Young's modulus.")
-@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
-@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
+@click.option("--center", type=float, nargs=2, help="Of the hole, x y, far px.  [default: the far image's centre]")
+@click.option("--radius", type=float, help="Of the hole, far px.  [default: a tenth of the far image's shorter side]")
+@click.option("--strain", type=float, default=0.005, help="Far-field stress over Young's modulus.")
+@click.option("--poisson-ratio", type=float, default=0.3)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0),
               help="Rigid displacement of the specimen, far px.")
 @click.option("--size-far", callback=parse_size, metavar="WIDTHxHEIGHT", help="Of the far images.  [default: --size]")
-@click.option("--size-near", callback=parse_size, metavar="WIDTHxHEIGHT",
-              help="Of the near images.  [default: --size]")
-@click.option("--noise-far", type=float, default=None, help="Of the far images, grey levels.  [default: --noise]")
-@click.option("--noise-near", type=float, default=None, help="Of the near images, grey levels.  [default: --noise]")
-@click.option("--fine-share", type=float, default=0.4, show_default=True,
+@click.option("--size-near", callback=parse_size, metavar="WIDTHxHEIGHT", help="Of the near images.  [default: --size]")
+@click.option("--noise-far", type=float, help="Of the far images, grey levels.  [default: --noise]")
+@click.option("--noise-near", type=float, help="Of the near images, grey levels.  [default: --noise]")
+@click.option("--fine-share", type=float, default=0.4,
               help="Of the fine speckles in the near images' contrast, 0 to 1.")
 @add_image_options("1392x1040", _FILES)
 def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pair, alpha: Pair, rotation: float,
@@ -192,17 +187,8 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     The far images show coarse speckles of about 5 far px; the near ones the same and fine ones of about 5 near px.
     The specimen's frame is the far reference image.
     """
+    from ddic.synth import near_far_scene
     from ddic.synth.fields import Hole, Kirsch
-    from ddic.synth.near_far_scene import (
-        FAR_FILES,
-        NEAR_FILES,
-        NearCamera,
-        SetUpMotion,
-        build_near_far_scene,
-        build_near_mapping,
-        place_beside_hole,
-        write_near_far,
-    )
     from ddic.synth.speckle import two_scale_texture
     from ddic.synth.truth import describe_near_far
 
@@ -211,14 +197,15 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
     center = center or far.middle
     radius = min(far.width, far.height) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
-    focus = near_center or place_beside_hole(center, radius, ratio, near)
-    mapping = build_near_mapping(ratio, focus, near, near_angle, tilt)
-    camera = NearCamera(mapping, SetUpMotion(alpha, rotation, focus), near)
+    focus = near_center or near_far_scene.place_beside_hole(center, radius, ratio, near)
+    mapping = near_far_scene.build_near_mapping(ratio, focus, near, near_angle, tilt)
+    motion = near_far_scene.SetUpMotion(alpha, rotation, focus)
+    camera = near_far_scene.NearCamera(mapping, motion, near)
     texture = two_scale_texture(ratio, image["seed"], image["speckle_size"], fine_share)
-    scene = build_near_far_scene(texture, field, Hole(center, radius), far, camera)
+    scene = near_far_scene.build_near_far_scene(texture, field, Hole(center, radius), far, camera)
     folder = image["output"]
-    write_images(folder, [*FAR_FILES, *NEAR_FILES], describe_near_far(scene),
-                 lambda files: write_near_far(folder, scene, files))
+    write_images(folder, [*near_far_scene.FAR_FILES, *near_far_scene.NEAR_FILES], describe_near_far(scene),
+                 lambda files: near_far_scene.write_near_far(folder, scene, files))
 
 
 def _picture(image: ImageOptions, size: Size | None = None, noise: float | None = None) -> Picture:
@@ -246,7 +233,7 @@ synth.add_command(near_far)
 
 
 @synth.command()
-@click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), show_default=True, help="u_x u_y, px.")
+@click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), help="u_x u_y, px.")
 @_pair_options
 def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
     """Move the whole image by one vector."""
@@ -256,11 +243,10 @@ def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
 
 
 @synth.command()
-@click.option("--gradient", type=float, nargs=4, default=(0.01, 0.0, 0.0, -0.003), show_default=True,
+@click.option("--gradient", type=float, nargs=4, default=(0.01, 0.0, 0.0, -0.003),
               help="du_x/dx du_x/dy du_y/dx du_y/dy.")
-@click.option("--vector", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Displacement of the centre, px.")
-@click.option("--center", type=float, nargs=2, default=None, help="x y, px.  [default: the image's centre]")
+@click.option("--vector", type=float, nargs=2, default=(0.0, 0.0), help="Displacement of the centre, px.")
+@click.option("--center", type=float, nargs=2, help="x y, px.  [default: the image's centre]")
 @_pair_options
 def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pair | None,
            **image: Unpack[ImageOptions]) -> None:
@@ -268,22 +254,16 @@ def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pa
     from ddic.synth.fields import Affine
 
     matrix = (gradient[:2], gradient[2:])
-    _generate(Affine(matrix, vector, center or _middle(image)), None, image)
+    _generate(Affine(matrix, vector, center or _picture(image).middle), None, image)
 
 
 @synth.command()
-@click.option("--offset", type=float, nargs=2, default=(0.35, -0.25), show_default=True,
-              help="Mean of u_x and of u_y, px.")
-@click.option("--amplitude", type=float, nargs=2, default=(0.60, 0.50), show_default=True,
-              help="Of u_x and of u_y, px.")
-@click.option("--wavelength-x", type=float, nargs=2, default=(1024.0, 1280.0), show_default=True,
-              help="Of u_x along x and along y, px.")
-@click.option("--wavelength-y", type=float, nargs=2, default=(1280.0, 1024.0), show_default=True,
-              help="Of u_y along x and along y, px.")
-@click.option("--phase-x", type=float, nargs=2, default=(0.3, -0.2), show_default=True,
-              help="Of u_x along x and along y, rad.")
-@click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), show_default=True,
-              help="Of u_y along x and along y, rad.")
+@click.option("--offset", type=float, nargs=2, default=(0.35, -0.25), help="Mean of u_x and of u_y, px.")
+@click.option("--amplitude", type=float, nargs=2, default=(0.60, 0.50), help="Of u_x and of u_y, px.")
+@click.option("--wavelength-x", type=float, nargs=2, default=(1024.0, 1280.0), help="Of u_x along x and along y, px.")
+@click.option("--wavelength-y", type=float, nargs=2, default=(1280.0, 1024.0), help="Of u_y along x and along y, px.")
+@click.option("--phase-x", type=float, nargs=2, default=(0.3, -0.2), help="Of u_x along x and along y, rad.")
+@click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), help="Of u_y along x and along y, rad.")
 @_pair_options
 def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: Pair, phase_x: Pair,
                phase_y: Pair, **image: Unpack[ImageOptions]) -> None:
@@ -294,16 +274,12 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
 
 
 @synth.command()
-@click.option("--center", type=float, nargs=2, default=None,
-              help="Of the hole, x y, px.  [default: the image's centre]")
-@click.option("--radius", type=float, default=None,
-              help="Of the hole, px.  [default: a tenth of the shorter side]")
-@click.option("--strain", type=float, default=0.005, show_default=True,
-              help="Far-field stress over Young's modulus.")
-@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
-@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Rigid displacement added, px.")
-@click.option("--paint-hole/--no-paint-hole", "draw_hole", default=True, show_default=True,
+@click.option("--center", type=float, nargs=2, help="Of the hole, x y, px.  [default: the image's centre]")
+@click.option("--radius", type=float, help="Of the hole, px.  [default: a tenth of the shorter side]")
+@click.option("--strain", type=float, default=0.005, help="Far-field stress over Young's modulus.")
+@click.option("--poisson-ratio", type=float, default=0.3)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), help="Rigid displacement added, px.")
+@click.option("--paint-hole/--no-paint-hole", "draw_hole", default=True,
               help="Show the hole as a dark disc, or leave speckles in it.")
 @_pair_options
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
@@ -311,32 +287,25 @@ def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_rat
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
     from ddic.synth.fields import Hole, Kirsch
 
-    center = center or _middle(image)
+    center = center or _picture(image).middle
     radius = min(image["size"]) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
     _generate(field, Hole(center, radius) if draw_hole else None, image)
 
 
 @synth.command()
-@click.option("--curvature", type=float, default=1e-5, show_default=True, help="Of the neutral axis, 1/px.")
-@click.option("--center", type=float, nargs=2, default=None, help="x y, px.  [default: the image's centre]")
-@click.option("--poisson-ratio", type=float, default=0.3, show_default=True)
-@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), show_default=True,
-              help="Rigid displacement added, px.")
+@click.option("--curvature", type=float, default=1e-5, help="Of the neutral axis, 1/px.")
+@click.option("--center", type=float, nargs=2, help="x y, px.  [default: the image's centre]")
+@click.option("--poisson-ratio", type=float, default=0.3)
+@click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), help="Rigid displacement added, px.")
 @_pair_options
 def bending(curvature: float, center: Pair | None, poisson_ratio: float, translation: Pair,
             **image: Unpack[ImageOptions]) -> None:
     """Bend a beam along x as between the inner rollers of a four-point test."""
     from ddic.synth.fields import Bending, Sum, Translation
 
-    beam = Bending(curvature, center or _middle(image), poisson_ratio)
+    beam = Bending(curvature, center or _picture(image).middle, poisson_ratio)
     _generate(Sum((beam, Translation(translation))), None, image)
-
-
-def _middle(image: ImageOptions) -> Pair:
-    """Position of the image's centre, pixels."""
-    width, height = image["size"]
-    return (width - 1) / 2, (height - 1) / 2
 
 
 def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:

@@ -3,25 +3,134 @@
 The items are those that the International Digital Image Correlation Society's guide (2018) asks of one camera and a
 plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them. How the
 images were taken is told in the words of the case, beside what they are like, and where the residual is worst.
+All of it comes from a result, its summary and, where they are still there, its images.
 """
 
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ddic.errors import InputError
 from ddic.images.binned import BLUR_NOTE
 from ddic.images.grey_levels import measure_feature_size, measure_grey_levels
 from ddic.io import result_schema as schema
-from ddic.io.image_file import ImageFile
+from ddic.io.image_file import ImageFile, open_image
 from ddic.io.result_reader import Result
 from ddic.mesh.quality import measure_covered_areas
 from ddic.plots.canvas import find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology, find_chain
 from ddic.probes.probes import PointProbe
-from ddic.report.gathered import NOT_RECORDED, NOT_STATED, Gathered
+
+NOT_RECORDED = "not recorded"
+"""In place of a value that the result does not hold."""
+
+NOT_STATED = "not stated in the case"
+"""In place of a value that only the user knows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """A result and what belongs to it.
+
+    Attributes
+    ----------
+    result : Result
+        What was measured.
+    case : dict
+        The validated case with all defaults; empty where it is not recorded.
+    summary : dict
+        Of the run; empty where its file is not beside the result.
+    images : dict of ImageFile
+        ``reference`` and ``deformed``, those of them that are still there.
+    absent : tuple of str
+        What could not be found, one sentence each.
+    """
+
+    result: Result
+    case: Mapping[str, Any]
+    summary: Mapping[str, Any]
+    images: Mapping[str, ImageFile]
+    absent: tuple[str, ...]
+
+    def get_section(self, name: str) -> Mapping[str, Any]:
+        """Get a section of the case, such as ``images``; empty where the case has none."""
+        return self.case.get(name) or {}
+
+    def get_attribute(self, group: str, name: str) -> Any:
+        """Get an attribute of the result file; None where it is not recorded."""
+        value: Any = self.result.attributes.get(group, {}).get(name)
+        return value.item() if hasattr(value, "item") else value
+
+    @cached_property
+    def noise_floor(self) -> float:
+        """RMS displacement that noise leaves, pixels; nan where it is not recorded."""
+        for value in (self.get_attribute(schema.CASE, schema.NOISE_FLOOR), self.summary.get("noise_floor_px")):
+            if value is not None:
+                return float(value)
+        return float("nan")
+
+    @cached_property
+    def last_residual(self) -> float:
+        """Standard deviation of the residual, grey levels; nan where no table tells it."""
+        if self.summary.get("residual_std_grey") is not None:
+            return float(self.summary["residual_std_grey"])
+        for table in (self.result.gauss_newton, self.result.corrections):
+            if len(table.get("residual_std_grey", ())):
+                return float(table["residual_std_grey"][-1])
+        return float("nan")
+
+
+def gather_all(result: Result, image: Path | None = None) -> Gathered:
+    """Gather what a report on a result says, with a sentence for each thing that is no longer there.
+
+    ``image`` is a reference image in place of the one that the result names; raises InputError where it is missing.
+    """
+    absent: list[str] = []
+    summary = _read_summary(result, absent)
+    named = result.attributes.get(schema.PROVENANCE, {})
+    paths = {name: Path(str(named.get(f"{name}_path", ""))) for name in ("reference", "deformed")}
+    if image is not None:
+        paths["reference"] = image
+    images = {}
+    for name, path in paths.items():
+        if path.is_file():
+            images[name] = open_image(path)
+        elif name == "reference" and image is not None:
+            raise InputError(f"{path}: no such image; check --image")
+        else:
+            # In place of a file's name, images of arrays are told by what they are.
+            in_memory = not path.is_absolute() and not path.suffix
+            where = "was in memory" if in_memory else f"is no longer at {path}"
+            absent.append(f"The {name} image {where}: what it alone tells is not in this report.")
+    return Gathered(result, schema.get_case(result.attributes), summary, images, tuple(absent))
+
+
+def _read_summary(result: Result, absent: list[str]) -> Mapping[str, Any]:
+    """The summary beside a result file, if it is this result's."""
+    in_memory = result.path == Path()
+    path = result.path if in_memory else schema.summary_path(result.path)
+    summary: dict[str, Any] = {}
+    if not in_memory and path.is_file():
+        with suppress(ValueError):
+            summary = json.loads(path.read_text(encoding="utf-8"))
+    if not summary:
+        absent.append(f"The summary {path.name or 'of the run'} is not beside the result: notes, stopping criterion, "
+                      "memory and the time of writing are not in this report.")
+    if "frames" not in summary:
+        return summary
+    # Of the summary of a series, what it says of the result's frame, as that of a pair says it.
+    time = result.attributes[schema.TIME]["deformed"]
+    record: Mapping[str, Any] = next((one for one in summary["frames"] if one["time"] == time), {})
+    seconds = {"this frame of the series": record["seconds"]} if "seconds" in record else {}
+    return {**record, "seconds": seconds, "stop": ""}
+
 
 Items = list[tuple[str, str]]
 """What is stated, and its value."""
@@ -239,30 +348,27 @@ def _list_metrology(gathered: Gathered) -> Items:
     """Of displacement and strain at a node in the middle of the mesh."""
     known, unit = find_field_metrology(gathered), find_length_unit(gathered.result)
 
-    def write(value: float, in_length: bool = True) -> str:
-        if not math.isfinite(value):
-            return NOT_RECORDED
-        if not in_length:
-            return f"{value:.1e}"
+    def write_length(value: float) -> str:
         physical = "" if unit.name == "px" else f" = {unit.size * value:.3g} {unit.name}"
-        return f"{value:.3g} px{physical}"
+        return write_number(value, "{:.3g} px") + (physical if math.isfinite(value) else "")
 
-    bias = "not estimated here: `ddic uncertainty` measures known displacements of the reference image"
     return [
-        ("Displacement noise floor", write(known.displacement_noise)),
-        ("Displacement spatial resolution", f"{write(known.displacement_resolution)} (90 % of a wave's amplitude)"),
-        ("Displacement noise x resolution", _write_area(known.displacement_indicator)),
-        ("Strain noise floor", write(known.strain_noise, in_length=False)),
-        ("Strain spatial resolution (virtual strain gauge)", f"{write(known.strain_resolution)} (90 % of a wave's "
-                                                             "amplitude)"),
-        ("Strain noise x resolution squared", _write_area(known.strain_indicator)),
+        ("Displacement noise floor", write_length(known.displacement_noise)),
+        ("Displacement spatial resolution",
+         f"{write_length(known.displacement_resolution)} (90 % of a wave's amplitude)"),
+        ("Displacement noise x resolution", write_number(known.displacement_indicator, "{:.3g} px²")),
+        ("Strain noise floor", write_number(known.strain_noise, "{:.1e}")),
+        ("Strain spatial resolution (virtual strain gauge)",
+         f"{write_length(known.strain_resolution)} (90 % of a wave's amplitude)"),
+        ("Strain noise x resolution squared", write_number(known.strain_indicator, "{:.3g} px²")),
         ("How noise is known", _describe_source(gathered)),
-        ("Bias", bias.replace("`", "")),
+        ("Bias", "not estimated here: ddic uncertainty measures known displacements of the reference image"),
     ]
 
 
-def _write_area(value: float) -> str:
-    return f"{value:.3g} px²" if math.isfinite(value) else NOT_RECORDED
+def write_number(value: float, form: str) -> str:
+    """Write a number in a form such as ``{:.3g} px``, or that it is not recorded where it is not finite."""
+    return form.format(value) if math.isfinite(value) else NOT_RECORDED
 
 
 def _describe_source(gathered: Gathered) -> str:
@@ -280,15 +386,12 @@ def find_field_metrology(gathered: Gathered) -> Metrology:
     Resolution is that of the mesh's mean element size, noise that of all nodes.
     """
     result = gathered.result
-    level = _find_mean_level([result.point_data[name] for name in ("sigma_u", "sigma_v") if name in result.point_data])
+    deviations = [result.point_data[name] for name in ("sigma_u", "sigma_v") if name in result.point_data]
+    level = math.sqrt(np.nanmean(np.square(deviations))) if deviations else math.nan
     noise = level if math.isfinite(level) else gathered.noise_floor
     # Outside of the mesh: of all its cells.
     outside = PointProbe("field", (float(result.mesh.nodes[:, 0].min()) - 1e3, 0.0))
     return estimate_metrology(result, outside, noise)
-
-
-def _find_mean_level(fields: Sequence[Any]) -> float:
-    return float(np.sqrt(np.nanmean(np.square(fields)))) if len(fields) else math.nan
 
 
 N_PLACES = 5
@@ -343,10 +446,9 @@ def find_worst_places(result: Result) -> list[WorstPlace]:
 
 
 def _describe(result: Result, number: int, cell: int) -> WorstPlace:
-    data, (x, y) = result.cell_data, result.mesh.centroids[cell]
-    error = float(data[schema.EQUIVALENT_ERROR][cell]) if schema.EQUIVALENT_ERROR in data else float("nan")
-    excluded = int(data[schema.EXCLUDED][cell]) if schema.EXCLUDED in data else 0
-    doubtful = bool(data[schema.DOUBTFUL][cell]) if schema.DOUBTFUL in data else False
-    verdict = EXCLUDED.get(excluded, "doubtful: the residual is that of a wrong displacement" if doubtful
-                           else "not doubtful")
-    return WorstPlace(number, float(x), float(y), float(data[schema.RESIDUAL_RMS][cell]), error, verdict)
+    values = {name: float(of_cells[cell]) for name, of_cells in result.cell_data.items() if of_cells.ndim == 1}
+    judged = ("doubtful: the residual is that of a wrong displacement" if values.get(schema.DOUBTFUL) else
+              "not doubtful")
+    x, y = map(float, result.mesh.centroids[cell])
+    return WorstPlace(number, x, y, values[schema.RESIDUAL_RMS], values.get(schema.EQUIVALENT_ERROR, math.nan),
+                      EXCLUDED.get(int(values.get(schema.EXCLUDED, 0)), judged))

@@ -4,7 +4,6 @@ import base64
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,21 +16,9 @@ from ddic.io import result_schema as schema
 from ddic.io.input_file import as_path
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
-from ddic.plots import curves
+from ddic.plots import curves, maps
 from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
-from ddic.plots.maps import (
-    Preview,
-    StrainChoice,
-    draw_deformed,
-    draw_displacement,
-    draw_residual,
-    draw_strain,
-    pick_number,
-    pick_tensors,
-    read_preview,
-)
-from ddic.report.gathered import NOT_RECORDED, NOT_STATED, Gathered, gather_all
-from ddic.report.items import WorstPlace, find_field_metrology, find_worst_places, list_statements
+from ddic.report import items
 
 SHOWN_PERCENT = 99.5
 """Of the strains of nodes, those to either end of the colours."""
@@ -44,45 +31,15 @@ Drawn = tuple[str, str, Figure]
 """Name, caption and page of a picture."""
 
 
-@dataclass(frozen=True)
-class EmbeddedFigure:
-    """A picture in a page.
+def draw_report_figures(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> dict[str, list[Drawn]]:
+    """Draw all pictures that a result allows: name, caption and page of each, by section.
 
-    Attributes
-    ----------
-    name, caption : str
-        What it shows, in a word, and what stands below it.
-    data : str
-        Its PNG as a data URI.
-    width, height : int
-        Dots.
+    Sections are fields, residual, convergence and histograms; ``places`` are marked in the residual.
     """
-
-    name: str
-    caption: str
-    data: str
-    width: int
-    height: int
-
-
-def encode_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[EmbeddedFigure]]:
-    """Draw all pictures that a result allows, for a page that holds them itself.
-
-    ``places`` are marked in the residual. They come by section: fields, residual, convergence, histograms.
-    """
-    return {section: [_encode(name, caption, figure) for name, caption, figure in drawn]
-            for section, drawn in draw_report_figures(gathered, places).items()}
-
-
-def draw_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dict[str, list[Drawn]]:
-    """Draw the figures of all pictures: name, caption and page of each, by section.
-
-    ``places`` are marked in the residual.
-    """
-    previews = {name: read_preview(image) for name, image in gathered.images.items()}
+    previews = {name: maps.read_preview(image) for name, image in gathered.images.items()}
     drawn = {
         "fields": _draw_fields(gathered, previews.get("reference")),
-        "residual": [("residual", _caption_residual(gathered), _draw_marked_residual(gathered, places))],
+        "residual": [_draw_marked_residual(gathered, places)],
         "convergence": _draw_curves(gathered),
         "histograms": _draw_histograms(gathered, previews),
     }
@@ -92,48 +49,44 @@ def draw_report_figures(gathered: Gathered, places: Sequence[WorstPlace]) -> dic
     return drawn
 
 
-def _draw_fields(gathered: Gathered, image: Preview | None) -> list[Drawn]:
+def _draw_fields(gathered: items.Gathered, image: maps.Preview | None) -> list[Drawn]:
     """Displacement and strain over the image, and the deformed mesh."""
     result, unit = gathered.result, find_length_unit(gathered.result)
     over = "over the reference image" if image is not None else "on the mesh; the reference image is not there"
     drawn: list[Drawn] = [(f"displacement {axis}", f"Displacement u_{axis} {over}.",
-                           draw_displacement(result, image, axis, unit)) for axis in ("x", "y")]
+                           maps.draw_displacement(result, image, axis, unit)) for axis in ("x", "y")]
     by_cell = schema.NODAL_INFINITESIMAL not in result.point_data
     where = "in the middle of elements" if by_cell else "at nodes"
     if not by_cell or schema.STRAIN_INFINITESIMAL in result.cell_data:
         for pair in ("xx", "yy", "xy"):
             caption = f"Infinitesimal strain {pair} {where}, {over}; colours end at the {SHOWN_PERCENT} % quantiles."
-            figure = _draw_strain(result, StrainChoice("infinitesimal", pair, by_cell), image)
+            figure = _draw_strain(result, maps.StrainChoice("infinitesimal", pair, by_cell), image)
             drawn.append((f"strain {pair}", caption, figure))
     caption = "The deformed mesh without its rigid motion, amplified as the title says, over the mesh at rest."
-    return [*drawn, ("deformed mesh", caption, draw_deformed(result, unit=unit))]
+    return [*drawn, ("deformed mesh", caption, maps.draw_deformed(result, unit=unit))]
 
 
-def _draw_strain(result: Result, choice: StrainChoice, image: Preview | None) -> Figure:
+def _draw_strain(result: Result, choice: maps.StrainChoice, image: maps.Preview | None) -> Figure:
     """Strain in colours that a few nodes at an edge do not decide."""
-    values = pick_number(pick_tensors(result, choice), choice.number or "xx")
+    values = maps.pick_number(maps.pick_tensors(result, choice), choice.number or "xx")
     known = values[np.isfinite(values)]
     limits = None
     if known.size:
         low, high = np.percentile(known, [100.0 - SHOWN_PERCENT, SHOWN_PERCENT])
         limits = (float(low), float(high)) if low < high else None
-    return draw_strain(result, choice, find_length_unit(result), limits, image=image)
+    return maps.draw_strain(result, choice, find_length_unit(result), limits, image=image)
 
 
-def _caption_residual(gathered: Gathered) -> str:
-    what = "by pixel" if gathered.result.residual_image is not None else "by element (no residual image was written)"
-    return (f"Correlation residual {what}. Even noise is what a good measurement leaves; the numbered places have the "
-            "largest residuals.")
-
-
-def _draw_marked_residual(gathered: Gathered, places: Sequence[WorstPlace]) -> Figure:
+def _draw_marked_residual(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> Drawn:
     unit = find_length_unit(gathered.result)
-    figure = draw_residual(gathered.result, unit=unit)
+    figure = maps.draw_residual(gathered.result, unit=unit)
     draw_marks(figure.axes[0], [(place.x, place.y) for place in places], unit.size)
-    return figure
+    what = "by pixel" if gathered.result.residual_image is not None else "by element (no residual image was written)"
+    return ("residual", f"Correlation residual {what}. Even noise is what a good measurement leaves; the numbered "
+                        "places have the largest residuals.", figure)
 
 
-def _draw_curves(gathered: Gathered) -> list[Drawn]:
+def _draw_curves(gathered: items.Gathered) -> list[Drawn]:
     """Convergence of the displacement and of the linear step."""
     result = gathered.result
     drawn: list[Drawn] = []
@@ -148,7 +101,7 @@ def _draw_curves(gathered: Gathered) -> list[Drawn]:
     return drawn
 
 
-def _draw_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[Drawn]:
+def _draw_histograms(gathered: items.Gathered, previews: dict[str, maps.Preview]) -> list[Drawn]:
     drawn: list[Drawn] = []
     residual = gathered.result.residual_image
     if residual is not None:
@@ -160,16 +113,19 @@ def _draw_histograms(gathered: Gathered, previews: dict[str, Preview]) -> list[D
     return drawn
 
 
-def _encode(name: str, caption: str, figure: Figure) -> EmbeddedFigure:
-    """A figure as a PNG within the page."""
+def _encode(name: str, caption: str, figure: Figure) -> dict[str, str | int]:
+    """A figure as a PNG within the page: name, caption, data URI, width and height in dots, as the template asks."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=DPI)
     width, height = (round(DPI * side) for side in figure.get_size_inches())
     data = base64.b64encode(stream.getvalue()).decode("ascii")
-    return EmbeddedFigure(name, caption, f"data:image/png;base64,{data}", width, height)
+    return {"name": name, "caption": caption, "data": f"data:image/png;base64,{data}", "width": width, "height": height}
 
 
 TEMPLATE = "template.html"
+
+SECONDS = ("seconds", "cpu_seconds")
+"""What the result file and the summary call seconds of the wall clock and of the processor."""
 
 PROVENANCE_FIRST = ("date", "command", "reference_path", "reference_sha256", "deformed_path", "deformed_sha256")
 """What stands first in the table of provenance."""
@@ -193,37 +149,42 @@ def write_report(result: Result, path: Path | str, image: Path | None = None) ->
         Where the folder cannot be written to, or the image is missing.
     """
     path = as_path(path, "report")
-    gathered = gather_all(result, image)
+    gathered = items.gather_all(result, image)
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True)
     template = environment.from_string(resources.files("ddic.report").joinpath(TEMPLATE).read_text(encoding="utf-8"))
-    places = find_worst_places(result)
+    places = items.find_worst_places(result)
+    pictures = {section: [_encode(*one) for one in drawn]
+                for section, drawn in draw_report_figures(gathered, places).items()}
+    peaks: Sequence[int] = gathered.summary.get("peak_memory_bytes", ())
     page = template.render(
         title=gathered.case.get("title") or result.path.stem or "measurement", file=result.path.name or "in memory",
         result=result, absent=gathered.absent, key_numbers=_list_key_numbers(gathered),
-        statements=list_statements(gathered), not_recorded=NOT_RECORDED, not_stated=NOT_STATED,
-        pictures=encode_report_figures(gathered, places), places=[_write_place(place) for place in places],
-        phases=_list_phases(gathered), memory=_describe_memory(gathered), notes=list(gathered.summary.get("notes", ())),
-        case_path=gathered.get_attribute(schema.CASE, "path") or NOT_RECORDED,
+        statements=items.list_statements(gathered), not_recorded=items.NOT_RECORDED, not_stated=items.NOT_STATED,
+        pictures=pictures, places=[_write_place(place) for place in places],
+        phases=_list_phases(gathered),
+        memory=", ".join(f"{peak / 2**20:.0f} MiB" for peak in peaks) or items.NOT_RECORDED,
+        notes=list(gathered.summary.get("notes", ())),
+        case_path=gathered.get_attribute(schema.CASE, "path") or items.NOT_RECORDED,
         case_text=str(gathered.get_attribute(schema.CASE, "toml") or ""),
         provenance=_order_provenance(result.attributes.get(schema.PROVENANCE, {})))
     with replaced_on_exit(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _list_key_numbers(gathered: Gathered) -> list[tuple[str, str]]:
+def _list_key_numbers(gathered: items.Gathered) -> list[tuple[str, str]]:
     """What is looked for first."""
-    result, known = gathered.result, find_field_metrology(gathered)
+    result, known = gathered.result, items.find_field_metrology(gathered)
     u = result.displacement[result.measured_nodes]
     numbers = [(f"u_{axis}", _write_range(u[:, k], "px", "{:.3f}")) for k, axis in enumerate("xy")]
     tensors = result.point_data.get(schema.NODAL_INFINITESIMAL)
     if tensors is not None:
         numbers += [(f"strain {pair}", _write_range(100.0 * tensors[:, k], "%", "{:.3f}"))
                     for pair, k in (("xx", 0), ("yy", 1), ("xy", 3))]
-    return [*numbers, ("residual", _write(gathered.last_residual, "{:.3g} grey levels")),
-            ("displacement noise", _write(known.displacement_noise, "{:.2g} px")),
-            ("strain noise", _write(known.strain_noise, "{:.1e}")),
-            ("strain resolution", _write(known.strain_resolution, "{:.3g} px"))]
+    return [*numbers, ("residual", items.write_number(gathered.last_residual, "{:.3g} grey levels")),
+            ("displacement noise", items.write_number(known.displacement_noise, "{:.2g} px")),
+            ("strain noise", items.write_number(known.strain_noise, "{:.1e}")),
+            ("strain resolution", items.write_number(known.strain_resolution, "{:.3g} px"))]
 
 
 def _write_range(values: np.ndarray[Any, Any], unit: str, form: str) -> str:
@@ -232,36 +193,23 @@ def _write_range(values: np.ndarray[Any, Any], unit: str, form: str) -> str:
     return f"{form.format(np.nanmin(values))} to {form.format(np.nanmax(values))} {unit}"
 
 
-def _write(value: float, form: str) -> str:
-    return form.format(value) if math.isfinite(value) else NOT_RECORDED
-
-
-def _write_place(place: WorstPlace) -> tuple[str, ...]:
+def _write_place(place: items.WorstPlace) -> tuple[str, ...]:
     return (str(place.number), f"({place.x:.0f}, {place.y:.0f})", f"{place.residual_rms:.3g}",
-            _write(place.equivalent_error, "{:.3g}"), place.verdict)
+            items.write_number(place.equivalent_error, "{:.3g}"), place.verdict)
 
 
-def _list_phases(gathered: Gathered) -> list[tuple[str, str, str, float]]:
+def _list_phases(gathered: items.Gathered) -> list[tuple[str, str, str, float]]:
     """Phases, their wall seconds, CPU seconds and share of the longest in percent; the file's, then the summary's."""
     table, summary = gathered.result.phases, gathered.summary
-    if len(table.get("phase", ())):
-        names = [name.decode() if isinstance(name, bytes) else str(name) for name in table["phase"]]
-        wall = dict(zip(names, map(float, table["seconds"]), strict=True))
-        cpu = dict(zip(names, map(float, table["cpu_seconds"]), strict=True))
-    else:
-        wall, cpu = {}, {}
+    names = [name.decode() if isinstance(name, bytes) else str(name) for name in table.get("phase", ())]
+    wall, cpu = (dict(zip(names, map(float, table.get(column, ())), strict=True)) for column in SECONDS)
     # The file cannot hold the time of its own writing.
-    wall, cpu = {**wall, **summary.get("seconds", {})}, {**cpu, **summary.get("cpu_seconds", {})}
+    wall, cpu = wall | summary.get(SECONDS[0], {}), cpu | summary.get(SECONDS[1], {})
     longest = max(wall.values(), default=1.0) or 1.0
-    rows = [(name, f"{seconds:.2f}", f"{cpu[name]:.2f}" if name in cpu else NOT_RECORDED, 100.0 * seconds / longest)
+    rows = [(name, f"{seconds:.2f}", items.write_number(cpu.get(name, math.nan), "{:.2f}"), 100.0 * seconds / longest)
             for name, seconds in wall.items()]
-    total = f"{sum(cpu.values()):.2f}" if set(cpu) >= set(wall) else NOT_RECORDED
+    total = items.write_number(sum(cpu.get(name, math.nan) for name in wall), "{:.2f}")
     return [*rows, ("sum", f"{sum(wall.values()):.2f}", total, 0.0)] if rows else []
-
-
-def _describe_memory(gathered: Gathered) -> str:
-    peaks: Sequence[int] = gathered.summary.get("peak_memory_bytes", ())
-    return ", ".join(f"{peak / 2**20:.0f} MiB" for peak in peaks) or NOT_RECORDED
 
 
 def _order_provenance(values: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -1,0 +1,245 @@
+"""Numbers and tables that are read from results, each by a command of its own.
+
+``ddic probe``: what virtual gauges read. ``ddic export``: whole fields. ``ddic opening``: how far the sides of
+discontinuities have moved apart. ``ddic crack``: the tip of a crack and its stress intensity factors.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from ddic.cli.app import frame_option
+from ddic.cli.failures import failures_as_lines, warnings_as_lines
+from ddic.errors import InputError
+
+if TYPE_CHECKING:
+    from ddic.arrays import Array
+    from ddic.fracture.crack_tip import CrackTip
+    from ddic.probes.tables import ProbeRecord
+
+
+@click.command()
+@click.argument("files", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--point", "points", multiple=True, metavar="X,Y", help="Displacement and strain at a point.")
+@click.option("--line", "lines", multiple=True, metavar="X0,Y0,X1,Y1[,SPACING]",
+              help="The same at places along a line, by default every pixel.")
+@click.option("--gauge", "gauges", multiple=True, metavar="X,Y,LENGTH[,ANGLE[,WIDTH]]",
+              help="Strain of the plane that fits the displacement best over a square, or a rectangle; ANGLE in "
+                   "degrees from x towards y.")
+@click.option("--extensometer", "extensometers", multiple=True, metavar="X0,Y0,X1,Y1",
+              help="Engineering strain of the distance of two points.")
+@click.option("--probes", "file", type=click.Path(path_type=Path),
+              help="TOML file of named probes: [point.A], [line.B], [gauge.C], [extensometer.D].")
+@click.option("--measure", type=click.Choice(["infinitesimal", "green-lagrange", "hencky"]), default="infinitesimal",
+              help="Strain tensor of xx, yy and xy.")
+@click.option("--noise", type=click.FloatRange(min=0, min_open=True), metavar="PX",
+              help="Standard deviation of a component of the nodes' displacements, of a static pair for instance; by "
+                   "default what the results record.")
+@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), help="Table to write.")
+def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ...], gauges: tuple[str, ...],
+          extensometers: tuple[str, ...], file: Path | None,
+          measure: Literal["infinitesimal", "green-lagrange", "hencky"], noise: float | None,
+          table: Path | None) -> None:
+    """Read points, lines, strain gauges and extensometers on results, or on the frames of a series, by their times.
+
+    Places are pixels of the reference image. Every option may be given several times. Beside each probe stand its
+    spatial resolution, the wavelength of which 90 % are left, and its noise (docs/probes.md).
+    """
+    # Imported here because HDF5 is not needed by --help.
+    from ddic.case.own_outputs import PROBES, require_own_output
+    from ddic.io.series_reader import read_frames
+    from ddic.probes.probes import load_probes, parse_probe
+    from ddic.probes.tables import measure_probes, write_probe_table
+
+    with failures_as_lines(table):
+        if table is not None:
+            require_own_output(table, PROBES, (*files, file))
+        given = {"point": points, "line": lines, "gauge": gauges, "extensometer": extensometers}
+        probes = [parse_probe(kind, f"{kind} {number}", text) for kind, texts in given.items()
+                  for number, text in enumerate(texts, start=1)]
+        probes += load_probes(file) if file is not None else []
+        if not probes:
+            raise InputError("no probe: give --point, --line, --gauge, --extensometer, or a file by --probes")
+        with warnings_as_lines():
+            results = chain.from_iterable(map(read_frames, files))
+            records = measure_probes(results, probes, measure, noise)
+        if len({record.unit for record in records}) > 1:
+            raise InputError("the results have several pixel sizes: read those of each apart")
+        if table is not None:
+            write_probe_table(table, records)
+    _show_readings(records)
+    if table is not None:
+        click.echo(table)
+
+
+def _show_readings(records: Sequence[ProbeRecord]) -> None:
+    """What probes read on the screen; of lines, the mean."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Column, Table
+
+    from ddic.probes.tables import average_along
+
+    unit = records[0].unit
+    numbers = (f"u_x [{unit.name}]", f"u_y [{unit.name}]", f"+- [{unit.name}]", "strain xx", "yy", "xy", "along", "+-",
+               f"resolution u, strain [{unit.name}]")
+    table = Table("time", "probe", *(Column(name, justify="right") for name in numbers), box=SIMPLE_HEAD)
+    notes: dict[str, None] = {}
+    for record in records:
+        reading, known = record.reading, record.metrology
+        displacement = [_write(unit.size * average_along(values), ".5g") for values in reading.displacement.T]
+        strain = [_write(average_along(values), ".3e") for values in (*reading.strain.T, reading.along)]
+        fine = [_write(unit.size * value, ".3g") for value in (known.displacement_resolution, known.strain_resolution)]
+        table.add_row(_write(record.time), reading.probe.name,
+                      *displacement, _write(unit.size * known.displacement_noise, ".2g"),
+                      *strain, _write(known.strain_noise, ".1e"), ", ".join(fine))
+        for note in filter(None, (reading.note, known.note)):
+            notes[f"{record.result}: {reading.probe.name}: {note}"] = None
+    console = Console(width=None if Console().is_terminal else 200, markup=False)
+    console.print(table)
+    for note in notes:
+        click.echo(note)
+
+
+def _write(value: float, how: str = "g") -> str:
+    """A number, or a dash where there is none."""
+    return "-" if value != value else format(value, how)  # noqa: PLR0124  nan alone
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@frame_option
+@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False),
+              help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT (and its frame), "
+                   "beside it.")
+def export(file: Path, frame: int | None, table: Path | None) -> None:
+    """Write all fields of a result as two CSV tables, a row for each node and for each cell, units in the headers."""
+    # Imported here because HDF5 is not needed by --help.
+    from ddic.case.own_outputs import CELLS, NODES, require_own_output
+    from ddic.io.series_reader import read_frame
+    from ddic.probes.tables import list_field_tables, write_field_tables
+
+    of_frame = "" if frame is None else f".frame_{frame}"
+    target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table
+    with failures_as_lines(target):
+        if not target.name:
+            raise InputError("--csv: give the name of a table, results.csv for instance")
+        for path, kind in zip(list_field_tables(target), (NODES, CELLS), strict=True):
+            require_own_output(path, kind, (file,))
+        with warnings_as_lines():
+            result = read_frame(file, frame)
+        written = write_field_tables(target, result)
+    for path in written:
+        click.echo(path)
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@frame_option
+@click.option("--line", type=int, default=1, help="Number of the discontinuity in the case.")
+@click.option("--tip", type=float, nargs=2, help="Where the tip may be, px; by default the line's end.")
+@click.option("--inner", type=float, help="Radius about the tip within which nothing counts, px.")
+@click.option("--outer", type=float, help="Radius about the tip up to which cells count, px.")
+@click.option("--poisson-ratio", type=click.FloatRange(0.0, 0.5), default=0.3, help="nu.")
+@click.option("--plane", type=click.Choice(["stress", "strain"]), default="stress",
+              help="Plane stress or plane strain.")
+@click.option("--shear-modulus", type=click.FloatRange(0.0, min_open=True),
+              help="mu in any unit of stress: factors are printed in it too, with the pixel size of the case.")
+def crack(file: Path, frame: int | None, line: int, tip: tuple[float, float] | None, inner: float | None,
+          outer: float | None, poisson_ratio: float, plane: Literal["stress", "strain"],
+          shear_modulus: float | None) -> None:
+    """Find the tip of a crack on the straight end of its line, K_I, K_II and T, by a fit of Williams' series."""
+    # Imported here because HDF5 is not needed by --help.
+    from ddic.fracture.crack_tip import Ring, find_crack_tip
+    from ddic.io.series_reader import read_frame
+
+    with failures_as_lines():
+        with warnings_as_lines():
+            result = read_frame(file, frame)
+        found = find_crack_tip(result, line, tip=tip, poisson_ratio=poisson_ratio, plane=plane,
+                               ring=Ring(inner, outer))
+    units = result.attributes.get("units", {})
+    for name, value in _list_crack_lines(found, shear_modulus, float(units.get("pixel_size", 1.0)),
+                              str(units.get("length_unit", "px"))):
+        click.echo(f"{name:<16}{value}")
+
+
+def _list_crack_lines(found: CrackTip, shear_modulus: float | None, pixel_size: float,
+                      unit: str) -> list[tuple[str, str]]:
+    """Names and values of what is printed."""
+    x, y = found.position
+    lines = [
+        ("tip", f"({x:.2f}, {y:.2f}) px, crack at {math.degrees(found.angle):.2f} degrees from +x to +y"),
+        ("K_I / mu", f"{found.opening_factor:.5g} px^(1/2)"),
+        ("K_II / mu", f"{found.sliding_factor:.5g} px^(1/2)"),
+        ("T / mu", f"{found.t_stress:.5g}"),
+    ]
+    if shear_modulus is not None:
+        factor = shear_modulus * math.sqrt(pixel_size)
+        lines += [("K_I", f"{factor * found.opening_factor:.5g} [mu] {unit}^(1/2)"),
+                  ("K_II", f"{factor * found.sliding_factor:.5g} [mu] {unit}^(1/2)"),
+                  ("T", f"{shear_modulus * found.t_stress:.5g} [mu]")]
+    return [*lines, ("ring", f"{found.n_cells} cells between {found.inner:.0f} and {found.outer:.0f} px of the tip"),
+            ("left over", f"{found.rms:.2g} px RMS beside the series")]
+
+
+@click.command()
+@click.argument("file", metavar="RESULT", type=click.Path(path_type=Path))
+@frame_option
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False),
+              help="Table to write; by default RESULT.opening.csv beside it, RESULT.frame_N.opening.csv of a frame.")
+def opening(file: Path, frame: int | None, output: Path | None) -> None:
+    """Write the opening of a result's discontinuities, pixel by pixel along them, as a CSV table.
+
+    A row is a place on a line: number of the line, distance from its first vertex, x, y, tangential and normal opening,
+    pixels; and whether the cell of either side is excluded (as the cell field says, 0 for no) or doubtful (1). Openings
+    are nan where it is excluded. They are the displacement of the left side less that of the right one; left is -y
+    where the line runs along +x. A positive normal opening parts the sides.
+    The figure is drawn by ddic plot --kind opening.
+    """
+    # Imported here because HDF5 is not needed by --help.
+    import numpy as np
+
+    from ddic.case.own_outputs import OPENINGS, require_own_output
+    from ddic.fracture.opening import measure_openings
+    from ddic.io.replace_on_exit import replaced_on_exit
+    from ddic.io.series_reader import read_frame
+
+    of_frame = "" if frame is None else f".frame_{frame}"
+    target = file.parent / f"{file.stem}{of_frame}.opening.csv" if output is None else output
+    with failures_as_lines(target):
+        require_own_output(target, OPENINGS, (file,))
+        with warnings_as_lines():
+            result = read_frame(file, frame)
+        found = measure_openings(result)
+        with replaced_on_exit(target) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+            table = csv.writer(stream)
+            table.writerow(["line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px", "excluded",
+                            "doubtful"])
+            for number, of_line in enumerate(found, start=1):
+                columns = (of_line.distance, *of_line.points.T, of_line.tangential, of_line.normal, of_line.excluded,
+                           of_line.doubtful)
+                table.writerows([number, *(f"{value:.6g}" for value in row)] for row in np.column_stack(columns))
+    for number, of_line in enumerate(found, start=1):
+        click.echo(f"line {number}: {len(of_line.points)} places, normal opening {_describe_range(of_line.normal)}, "
+                   f"tangential {_describe_range(of_line.tangential)} px{_count_excluded(of_line.normal)}")
+    click.echo(target)
+
+
+def _describe_range(values: Array) -> str:
+    """Least and largest of some numbers, of which some may be nan."""
+    known = [value for value in values.tolist() if math.isfinite(value)]
+    return f"{min(known):.3f} to {max(known):.3f}" if known else "none"
+
+
+def _count_excluded(values: Array) -> str:
+    """Say how many openings are nan, where any is."""
+    n_excluded = sum(map(math.isnan, values.tolist()))
+    return f"; {n_excluded} places beside excluded cells, nan" if n_excluded else ""
