@@ -29,8 +29,7 @@ from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from support.oracles import make_on_root
 from support.pictures import source
 

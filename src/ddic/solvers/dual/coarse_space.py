@@ -14,11 +14,9 @@ from ddic.arrays import Array, IntArray
 from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.kinematics import Kinematics
 from ddic.parallel.team import Team
-from ddic.solvers.assembled import ParallelEntries
 from ddic.solvers.dual.local_dual import LocalDual
-from ddic.solvers.exchange import Exchange
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.exchange import Exchange, ParallelEntries
+from ddic.solvers.local_system import LocalOperator, LocalSystem
 from ddic.solvers.petsc import COARSE, PetscStack, create_ksp, to_petsc_integers
 
 INDEPENDENT = 1e-8

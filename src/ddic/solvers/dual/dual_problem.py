@@ -16,8 +16,7 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import rows_of
 from ddic.solvers.dual.local_dual import LocalDual, RankDual, add_motion_rows, build_local_dual
 from ddic.solvers.exchange import Exchange
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.local_system import LocalOperator, LocalSystem
 from ddic.solvers.petsc import PetscStack
 
 

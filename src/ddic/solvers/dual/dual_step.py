@@ -16,8 +16,7 @@ from ddic.solvers.dual.interface_solver import InterfaceSolver
 from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, build_preconditioner
 from ddic.solvers.linear_step import AllowedError, StepResult
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.local_system import LocalOperator, LocalSystem
 from ddic.solvers.petsc import PetscStack
 
 

@@ -16,8 +16,7 @@ from scipy import sparse
 from ddic.arrays import Array, IntArray
 from ddic.functionals.scale_rows import scale_rows
 from ddic.partition.subdomain import signed_incidence
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.local_system import LocalOperator, LocalSystem
 
 
 @dataclass(frozen=True)
