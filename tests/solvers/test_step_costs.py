@@ -51,6 +51,14 @@ def test_more_unknowns_take_more_and_more_ranks_less(way: str) -> None:
     assert large.memory > one.memory > shared.memory
 
 
+@pytest.mark.parametrize("wavelength", [0.0, 8.0])
+def test_the_factor_of_the_only_subdomain_has_no_interface(wavelength: float) -> None:
+    task = replace(TASK, n_ranks=1, wavelength=wavelength)
+    alone, as_dual = (predict_costs(task, Candidate(method, 1)) for method in ("monolithic", "dual"))
+    assert alone.n_iterations == 0
+    assert (alone.seconds, alone.step, alone.memory) == (as_dual.seconds, as_dual.step, as_dual.memory)
+
+
 def test_conjugate_gradients_take_least_memory() -> None:
     memory = {way: costs(way, n_unknowns=4_000_000, n_cells=2_000_000).memory for way in ("cg", "one", "assembled")}
     # On two ranks of 10 GiB four million unknowns took 3.83 GiB this way, and did not fit otherwise (docs/solver.md).

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from ddic.functionals.regularization import Material
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
-from ddic.separated.band_sums import SerialSums, divide_rows
+from ddic.parallel.distribution import TeamSums
+from ddic.parallel.team import Team
+from ddic.separated.band_sums import divide_rows
 from ddic.separated.field import LineElements, SeparatedField, scale_modes
 from ddic.separated.pixel_bands import FramePixels, ReferencePixels, cut_bands
 from ddic.separated.separated_regularization import (
@@ -35,7 +37,7 @@ def reference_of(image: Array, region: tuple[float, float, float, float], size: 
     read = source(image, mask)
     window = Window(along_x.pixels.start, along_y.pixels.start, along_x.pixels.stop, along_y.pixels.stop)
     bands = cut_bands(read_reference(read, window, degree), along_x, divide_rows(along_y))
-    return ReferencePixels(along_x, along_y, bands, read.extent, SerialSums())
+    return ReferencePixels(along_x, along_y, bands, read.extent, TeamSums(Team.alone(), 0))
 
 
 def frame_of(displacement: DisplacementField, region: tuple[float, float, float, float], size: float, *,

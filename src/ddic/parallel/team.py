@@ -302,15 +302,16 @@ class Team:
         with self.waiting.counted():
             if self.is_root:
                 self.comm.send(item, dest=to, tag=_SENT)
-            result: T | None = self.receive_message(0, _SENT) if self.rank == to else None
-        return result
+        return self.receive(0) if self.rank == to else None
 
-    def begin_send(self, item: object, to: int) -> MPI.Request:
+    def begin_send(self, item: object, to: int, tag: int = _SENT) -> MPI.Request:
         """Send an item to a rank, which calls ``receive``, without waiting until it arrives; not collective.
 
-        It is pickled at once, hence free to change. ``finish_sends`` takes the request.
+        It is pickled at once, hence free to change. ``finish_sends`` takes the request; ``tag`` tells kinds of items
+        apart.
         """
-        return self.comm.isend(item, dest=to, tag=_SENT)
+        with self.waiting.counted():
+            return self.comm.isend(item, dest=to, tag=tag)
 
     def finish_sends(self, requests: Iterable[MPI.Request]) -> None:
         """Wait until the items of ``begin_send`` have left; not collective."""
@@ -318,15 +319,11 @@ class Team:
             for request in requests:
                 self.waiting.wait_until(request.Test)
 
-    def receive(self, source: int) -> Any:
-        """Wait for the next item that a rank sends to this one with ``begin_send``; not collective."""
+    def receive(self, source: int, tag: int = _SENT) -> Any:
+        """Wait for the next item of a kind that a rank sends to this one; not collective."""
         with self.waiting.counted():
-            return self.receive_message(source, _SENT)
-
-    def receive_message(self, source: int, tag: int) -> Any:
-        """Wait for a message of one kind, its tag, and take it; not collective."""
-        self.waiting.wait_until(lambda: self.comm.Iprobe(source, tag))
-        return self.comm.recv(source=source, tag=tag)
+            self.waiting.wait_until(lambda: self.comm.Iprobe(source, tag))
+            return self.comm.recv(source=source, tag=tag)
 
     def wait_for_all(self) -> None:
         """Wait until every rank has come here."""

@@ -61,14 +61,9 @@ def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> IntArray:
     Gives the subdomain of each cell. ``blocks`` are counted along each axis; those that hold no cell are dropped.
     """
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
-    counts = np.asarray(blocks)
-    place = np.floor((mesh.centroids - low) / (high - low) * counts).astype(np.int64)
-    place = np.clip(place, 0, counts - 1)
+    place = np.floor((mesh.centroids - low) / (high - low) * np.asarray(blocks)).astype(np.int64)
     # The first axis varies fastest.
-    number = np.zeros(mesh.n_cells, dtype=np.int64)
-    for axis in reversed(range(mesh.dim)):
-        number = number * counts[axis] + place[:, axis]
-    return renumber(number)
+    return renumber(np.ravel_multi_index(tuple(place.T), blocks, mode="clip", order="F"))
 
 
 def renumber(parts: IntArray) -> IntArray:

@@ -97,23 +97,3 @@ class BandSums(Protocol):
     def together(self, work: Callable[[], T]) -> T:
         """Run work, free of communication, that may fail on one rank alone, and return its result."""
         ...
-
-
-class SerialSums(BandSums):
-    """All bands are on this rank."""
-
-    def add_up(self, of_bands: Iterable[Array]) -> Array:
-        """Sum them."""
-        return build_tree(0, of_bands).finish()
-
-    def join(self, of_bands: Iterable[Array]) -> Array:
-        """Put them side by side."""
-        return np.concatenate(list(of_bands), axis=-1)
-
-    def broadcast(self, item: T) -> T:
-        """Return it."""
-        return item
-
-    def together(self, work: Callable[[], T]) -> T:
-        """Run it."""
-        return work()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
@@ -17,6 +18,14 @@ from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Interface, Subdomain, copies_of
 from ddic.solvers.petsc import PetscStack, check_petsc_size, to_petsc_integers
+
+
+class Multiplying(Protocol):
+    """Context of a shell matrix."""
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply y = A x: PETSc's callback."""
+        ...
 
 
 class Exchange:
@@ -66,6 +75,13 @@ class Exchange:
         vector = self._owned.duplicate()
         vector.set(0.0)
         return vector
+
+    def create_matrix(self, context: Multiplying) -> PETSc.Mat:
+        """Create a shell matrix on owned numbers over all ranks, the caller's to destroy."""
+        size = (self.n_owned, self.n_global)
+        matrix = PETSc.Mat().createPython((size, size), context, comm=self.team.comm)
+        matrix.setUp()
+        return matrix
 
     def fetch_ghosts(self, owned: PETSc.Vec) -> Array:
         """Fetch the values of all numbers that this rank takes part in, in the order of ``ghosts``; collective."""

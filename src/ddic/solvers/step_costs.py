@@ -252,7 +252,8 @@ def predict_costs(task: StepTask, candidate: Candidate) -> StepCosts:
         "dual": _predict_dual,
         "assembled": _predict_assembled,
         "conjugate_gradient": _predict_conjugate_gradient,
-        "monolithic": _predict_monolithic,
+        # The factor of the only subdomain.
+        "monolithic": _predict_dual,
     }
     return of_method[candidate.method](task, candidate)
 
@@ -272,16 +273,6 @@ def _predict_assembled(task: StepTask, candidate: Candidate) -> StepCosts:
     solve = n * MEASURED.whole_solve * np.log2(n) / spread
     memory = n * kind.memory.evaluate_by_log(n) / task.n_ranks**MEASURED.parallel_memory
     return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * MEASURED.system_memory + memory)
-
-
-def _predict_monolithic(task: StepTask, candidate: Candidate) -> StepCosts:
-    """CHOLMOD of the whole."""
-    n = task.n_unknowns
-    kind = MEASURED.local[task.is_regularized]
-    solve = n * MEASURED.local_solve * np.log2(n)
-    seconds = n * kind.seconds.evaluate_by_root(n)
-    memory = n * (MEASURED.system_memory + kind.memory.evaluate_by_log(n))
-    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, memory)
 
 
 def _predict_conjugate_gradient(task: StepTask, candidate: Candidate) -> StepCosts:

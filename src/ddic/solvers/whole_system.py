@@ -120,7 +120,7 @@ class WholeSystem:
         Raises SingularSubdomainError on all ranks.
         """
         with PetscStack() as stack:
-            diagonal = stack.keep(self.create_vector())
+            diagonal = stack.keep(self.exchange.create_vector())
             operator.getDiagonal(diagonal)
             number, lowest = diagonal.min()
         if not lowest > 0:
@@ -137,10 +137,6 @@ class WholeSystem:
         x, y = self._team.gather_lists(nodes)[0][:2]
         place = f"the region around column {x:.0f}, row {y:.0f}"
         return as_collective(SingularSubdomainError(describe_singular(place)))
-
-    def create_vector(self) -> PETSc.Vec:
-        """Create a zero vector of owned unknowns over all ranks, the caller's to destroy."""
-        return self.exchange.create_vector()
 
     def destroy(self, _: PETSc.Mat | None = None) -> None:
         """Free PETSc's objects; PETSc calls it too, when the shell matrix goes whose context this is."""
@@ -264,8 +260,8 @@ class AssembledStep:
         with PetscStack() as stack:
             self._whole = stack.keep(WholeSystem(team, systems))
             self._matrix = stack.keep(_assemble(team, self._whole))
-            self._left = stack.keep(self._whole.create_vector())
-            self._right = stack.keep(self._whole.create_vector())
+            self._left = stack.keep(self._whole.exchange.create_vector())
+            self._right = stack.keep(self._whole.exchange.create_vector())
             self._ksp = stack.keep(create_ksp(team.comm, ASSEMBLED))
             self._factorize(team.rank, smallest_eigenvalue)
             self._objects = stack.pop_all()
@@ -363,15 +359,12 @@ class ConjugateGradientStep:
         self._unit_size = measure_unit_size(team, [system.subdomain for system in systems])
         with PetscStack() as stack:
             self._whole = stack.keep(WholeSystem(team, systems))
-            size = (self._whole.n_owned, PETSc.DETERMINE)
-            self._matrix = stack.keep(PETSc.Mat())
-            self._matrix.createPython((size, size), self._whole, comm=team.comm)
+            self._matrix = stack.keep(self._whole.exchange.create_matrix(self._whole))
             self._matrix.setOption(PETSc.Mat.Option.SPD, True)
-            self._matrix.setUp()
-            self._left = stack.keep(self._whole.create_vector())
-            self._right = stack.keep(self._whole.create_vector())
-            self._residual = stack.keep(self._whole.create_vector())
-            self._preconditioned = stack.keep(self._whole.create_vector())
+            self._left = stack.keep(self._whole.exchange.create_vector())
+            self._right = stack.keep(self._whole.exchange.create_vector())
+            self._residual = stack.keep(self._whole.exchange.create_vector())
+            self._preconditioned = stack.keep(self._whole.exchange.create_vector())
             self._ksp = stack.keep(create_ksp(team.comm, CONJUGATE_GRADIENT))
             self._configure(max_iterations)
             self._objects = stack.pop_all()
