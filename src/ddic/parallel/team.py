@@ -176,15 +176,14 @@ class Team:
 
         Raises on all ranks what the work of the lowest rank that fails raises.
         """
-        result: Any = None
         error: Exception | None = None
         try:
             result = work()
         except Exception as caught:
             error = caught
+        # Does not return where there is no result.
         self.share_error(error)
-        final: T = result
-        return final
+        return result
 
     def alike(self, work: Callable[[], T]) -> T:
         """Run work that every rank does alike, with collective operations inside it.

@@ -114,11 +114,6 @@ def estimate_cell_costs(mesh: Mesh) -> Array:
     return np.asarray(rasterize(mesh).pixel_counts + NODE_PIXELS * own_nodes)
 
 
-def sum_costs(costs: Array, parts: IntArray) -> Array:
-    """Add up the work of each subdomain, (n_subdomains,), from the work and the subdomain of each cell."""
-    return np.asarray(np.bincount(parts, weights=costs), dtype=np.float64)
-
-
 Adjacency = tuple[IntArray, IntArray]
 """Cells that share a facet, as compressed rows (indptr, indices): ``find_adjacent_cells``."""
 
@@ -254,7 +249,6 @@ def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motio
     n_chain_rows = sum(subdomain.n_owned_rows for subdomain in subdomains)
     # Unknowns of all motions, camera after camera; each has a row of its own after those of the chains.
     first = np.concatenate([[0], np.cumsum(n_motion_unknowns)]).astype(np.int64)
-    cameras = list(cameras)
     with_motion = []
     for place, (subdomain, camera) in enumerate(zip(subdomains, cameras, strict=True)):
         of_camera = np.arange(first[camera], first[camera + 1])
@@ -263,10 +257,9 @@ def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motio
             is_lowest = cameras.index(camera) == place
             motion = MotionUnknowns(n_field + of_camera, n_chain_rows + of_camera, cameras.count(camera), is_lowest)
         with_motion.append(replace(subdomain, camera=camera, motion=motion))
-    last = with_motion[-1]
+    last = with_motion.pop()
     n_motion_rows = int(first[-1])
-    with_motion[-1] = replace(last, n_owned_rows=last.n_owned_rows + n_motion_rows)
-    return with_motion
+    return [*with_motion, replace(last, n_owned_rows=last.n_owned_rows + n_motion_rows)]
 
 
 def _apportion(work: Array, total: int, most: Sequence[int]) -> list[int]:

@@ -87,7 +87,17 @@ class NearSide:
 
 @dataclass(frozen=True)
 class Contact:
-    """What is left of the far mesh, all near meshes beside it, and the share of each far edge that they cover."""
+    """The far mesh and all near meshes beside it.
+
+    Attributes
+    ----------
+    far : FarSide
+        What is left of the far mesh.
+    near : list of NearSide
+        In the order in which they were given.
+    far_cover : (n_edges,) array
+        Share of each far edge that near edges cover.
+    """
 
     far: FarSide
     near: list[NearSide]

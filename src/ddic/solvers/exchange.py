@@ -109,9 +109,14 @@ larger number adds up less often and takes more memory."""
 
 @dataclass(frozen=True)
 class SomeRows:
-    """Some rows of a large sparse matrix: their numbers in it, (n,), and their entries, (n, all columns).
+    """Some rows of a large sparse matrix.
 
-    Entries of one place add up.
+    Attributes
+    ----------
+    numbers : (n,) array of int64
+        Of the rows in the whole matrix.
+    entries : (n, all columns) csr_matrix
+        These rows; entries of one place add up.
     """
 
     numbers: IntArray
@@ -126,8 +131,14 @@ class SomeRows:
 class ParallelEntries:
     """A parallel sparse matrix in the making, from blocks anywhere in it; overlapping blocks add up.
 
-    Each rank holds the rows that it has added to, whoever owns them. All ranks make it together, of ``n_rows`` and
-    ``n_columns`` that this rank owns.
+    Each rank holds the rows that it has added to, whoever owns them.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    n_rows, n_columns : int
+        How many this rank owns.
     """
 
     def __init__(self, team: Team, n_rows: int, n_columns: int) -> None:

@@ -321,7 +321,8 @@ def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
     kbar_touched = sparse.csr_matrix((kbar_rows.data, places.reshape(-1), kbar_rows.indptr),
                                      shape=(kbar_rows.shape[0], len(touched)))
     columns = touched.astype(np.int64)
-    entries.add_sparse(columns, columns, whole.systems[0].eta * (kbar_touched.T @ kbar_touched))
+    squared = (kbar_touched.T @ kbar_touched).tocsr()
+    entries.add_sparse(columns, columns, whole.systems[0].eta * squared)
     matrix = entries.create_matrix()
     matrix.setOption(PETSc.Mat.Option.SPD, True)
     return matrix

@@ -160,7 +160,14 @@ class DualSchurOperator:
 
     The matrix is symmetric and quasi-definite; one local solve per subdomain and product. Its blocks, Eq. 27a-c,
     are never formed. A subdomain's matrices are small: to call a product takes longer than to compute it. So there is
-    one product with a sparse matrix for all ``local_duals`` of a rank, at least one, side by side.
+    one product with a sparse matrix for all of a rank.
+
+    Parameters
+    ----------
+    exchange : Exchange
+        Of interface rows.
+    local_duals : sequence of LocalDual
+        This rank's subdomains, at least one.
     """
 
     def __init__(self, exchange: Exchange, local_duals: Sequence[LocalDual]) -> None:

@@ -3,8 +3,6 @@
 The interface problem S_tot v = t_tot is solved by GMRES, with directions kept from earlier ones with the same operator.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -129,27 +127,24 @@ class _Deflated:
     def __init__(self, operator: DualSchurOperator) -> None:
         self.space = RecycledSpace(operator.exchange.team, operator.exchange.n_owned)
         self._operator = operator
-        self._directions: list[Array] = []
-        self._images: list[Array] = []
+        self._products: list[tuple[Array, Array]] = []
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply by (I - C C^T) S_tot: PETSc's callback."""
         self._operator.mult(matrix, x, y)
-        self._directions.append(np.array(x.getArray(readonly=1)))
-        self._images.append(np.array(y.getArray(readonly=1)))
+        self._products.append((np.array(x.getArray(readonly=1)), np.array(y.getArray(readonly=1))))
         self.space.project(y.getArray())
 
     def forget_products(self) -> None:
         """Drop the products noted by a solution that failed."""
-        self._directions.clear()
-        self._images.clear()
+        self._products.clear()
 
     def learn(self) -> None:
         """Keep the products noted since the last time."""
-        if self._directions:
-            self.space.learn(np.stack(self._directions, axis=1), np.stack(self._images, axis=1))
-            self._directions.clear()
-            self._images.clear()
+        if self._products:
+            directions, images = (np.stack(vectors, axis=1) for vectors in zip(*self._products, strict=True))
+            self.space.learn(directions, images)
+            self._products.clear()
 
 
 UNREACHED = 1e-300

@@ -152,18 +152,6 @@ def _invert_definite(matrix: Array) -> Array:
     return np.asarray(below + below.T + np.diag(inverse.diagonal()))
 
 
-class LocalInverse(Protocol):
-    """S_s^-1 of one subdomain, dense or factorised."""
-
-    def apply(self, r: Array) -> Array:
-        """Apply S_s^-1 to r, (n interface unknowns,)."""
-        ...
-
-    def destroy(self) -> None:
-        """Free what PETSc holds."""
-        ...
-
-
 @dataclass(frozen=True)
 class DenseInverse:
     """S_s^-1 as an array.
@@ -182,6 +170,10 @@ class DenseInverse:
 
     def destroy(self) -> None:
         """Nothing to free: the array is Python's."""
+
+
+LocalInverse = DenseInverse | SparseInverse
+"""S_s^-1 of one subdomain."""
 
 
 class DualPreconditioner:
@@ -307,9 +299,9 @@ class MotionPreconditioner:
         with PetscStack() as stack:
             unit, column, solved, self._right = (stack.keep(operator.exchange.create_vector()) for _ in range(4))
             self._here = _find_last_rows(unit, n_motion)
-            for k in range(n_motion):
+            for alpha in np.eye(n_motion):
                 unit.set(0.0)
-                self._put(unit, np.eye(n_motion)[k])
+                self._put(unit, alpha)
                 operator.mult(None, unit, column)
                 block.append(-self._take(column))
                 self._put(column, np.zeros(n_motion))
@@ -318,8 +310,7 @@ class MotionPreconditioner:
                 products.append(np.array(solved.getArray()))
             self._columns = np.stack(columns, axis=1)
             self._products = np.stack(products, axis=1)
-            d = np.stack(block, axis=1)
-            self._small = self._team.sum(self._columns.T @ self._products) + d
+            self._small = self._team.sum(self._columns.T @ self._products) + np.stack(block, axis=1)
             self._objects = stack.pop_all()
 
     def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -364,8 +355,8 @@ OF_COLUMNS = 0.3
 
 
 def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Preconditioner,
-                         local_inverse: LocalInverseKind,
-                         clock: PhaseClock | None = None) -> tuple[Preconditioning | None, CoarseSpace | None]:
+                         local_inverse: LocalInverseKind, clock: PhaseClock | None = None,
+                         ) -> tuple[Preconditioning | None, CoarseSpace | None]:
     """Build the preconditioner that is asked for, and the coarse space of one of two levels; collective.
 
     Rows of cameras' motions are eliminated; ``stack`` keeps what must be destroyed. Raises SingularSubdomainError on
@@ -374,9 +365,8 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
     if kind == "none":
         return None, None
     clock = clock or PhaseClock()
-    is_paper = kind == "paper"
     locals_ = problem.local_duals
-    assemblies = [local.incidence for local in locals_] if is_paper else _scale_assemblies(problem)
+    assemblies = [local.incidence for local in locals_] if kind == "paper" else _scale_assemblies(problem)
     # Before the inverses: what finds the modes is large, and gone when these are made.
     columns = _find_columns(problem, clock) if kind == "two_level" else []
 
