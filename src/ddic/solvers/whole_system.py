@@ -3,11 +3,7 @@
 A = M + eta Kbar^T Kbar is a sum over the subdomains' parts. Conjugate gradients need no more than its products.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
@@ -59,7 +55,7 @@ class WholeSystem:
             self.numbers, self.n_owned = _number_by_rank(team, self._subdomains)
             self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
             self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
-            self.rows = [EquilibriumRows.of(system) for system in systems]
+            self.rows = [EquilibriumRows(system) for system in systems]
             self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
             self._objects = stack.pop_all()
 
@@ -180,7 +176,6 @@ def _find_node(subdomain: Subdomain, unknown: int) -> Array:
     return np.asarray(nodes[int(np.linalg.norm(column, axis=1).argmax())])
 
 
-@dataclass(frozen=True)
 class EquilibriumRows:
     """Kbar_s without the weights of interface rows, so that its rows add up over subdomains to Kbar.
 
@@ -188,52 +183,41 @@ class EquilibriumRows:
     sqrt(m) make that the row of the whole region, the paper's weight 1 leaves that row over sqrt(m).
     Products take the system's own stiffness: a matrix of other rows would be as large as M.
 
-    Attributes
+    Parameters
     ----------
-    stiffness : (n_field, n_unknowns) csr_matrix
-        diag(w) T^T K T.
-    factors : (n_field,) array
-        Of its rows, no unit.
+    system : LocalSystem
+        Its field has Kbar_s; without regularization, all rows are empty.
     """
 
-    stiffness: sparse.csr_matrix
-    factors: Array
-
-    @classmethod
-    def of(cls, system: LocalSystem) -> EquilibriumRows:
-        """Take those of a system, whose field has Kbar_s; without regularization, all are empty."""
-        subdomain = system.subdomain
-        factors = 1.0 / np.sqrt(subdomain.multiplicity)
+    def __init__(self, system: LocalSystem) -> None:
+        n_field, n_unknowns = system.subdomain.n_field, system.subdomain.n_unknowns
+        # diag(w) T^T K T, and factors of its rows.
+        self._stiffness = sparse.csr_matrix((n_field, n_unknowns)) if system.stiffness is None else system.stiffness
+        self._factors = 1.0 / np.sqrt(system.subdomain.multiplicity)
         if system.projection is not None:
-            factors = factors * system.projection
-        if system.stiffness is None:
-            return cls(sparse.csr_matrix((subdomain.n_field, subdomain.n_unknowns)), np.ones(subdomain.n_field))
-        return cls(system.stiffness, factors)
+            self._factors = self._factors * system.projection
+        # Kept: making the matrix anew takes longer than its product with a vector.
+        self._transposed = self._stiffness.T
 
     def multiply(self, x: Array) -> Array:
         """Compute Kbar_s x, x in pixels; 0 for a camera's motion: it displaces no matter, so is in no equilibrium."""
         product = np.zeros(len(x))
-        np.multiply(self.factors, self.stiffness @ x, out=product[:len(self.factors)])
+        np.multiply(self._factors, self._stiffness @ x, out=product[:len(self._factors)])
         return product
 
     def multiply_transposed(self, gap: Array) -> Array:
         """Compute Kbar_s^T times a value of each unknown, forces, (n_unknowns,), without those of a camera's motion."""
-        return np.asarray(self._transposed @ (self.factors * gap[:len(self.factors)]))
+        return np.asarray(self._transposed @ (self._factors * gap[:len(self._factors)]))
 
     def sum_squares(self) -> Array:
         """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s, (n_unknowns,)."""
-        return np.asarray(self.stiffness.power(2).T @ self.factors**2)
+        return np.asarray(self._stiffness.power(2).T @ self._factors**2)
 
     def assemble(self) -> sparse.csr_matrix:
         """Form the square matrix, for who needs more than its products; rows of a camera's motion are zero."""
-        n_field, n_unknowns = self.stiffness.shape
+        n_field, n_unknowns = self._stiffness.shape
         no_equilibrium = sparse.csr_matrix((n_unknowns - n_field, n_unknowns))
-        return sparse.vstack([scale_rows(self.stiffness, self.factors), no_equilibrium]).tocsr()
-
-    @cached_property
-    def _transposed(self) -> sparse.csc_matrix:
-        """The same numbers; making the matrix anew takes longer than its product with a vector."""
-        return self.stiffness.T
+        return sparse.vstack([scale_rows(self._stiffness, self._factors), no_equilibrium]).tocsr()
 
 
 ZERO_PIVOT = -10
