@@ -200,8 +200,7 @@ class Team:
         """Raise on all ranks what the lowest rank with an error brings; nothing where all bring None."""
         if error is None and self.size == 1:
             return
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
         if failed < self.size:
             portable = None if error is None else make_portable(error, self.rank)
@@ -238,8 +237,7 @@ class Team:
         return sum(counts[: self.rank])
 
     def _reduce(self, value: Summable, operation: MPI.Op) -> Summable:
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             if not isinstance(value, np.ndarray):
                 result: Summable = self.comm.allreduce(value, op=operation)
                 return result
@@ -265,15 +263,13 @@ class Team:
         """Join the lists of all ranks, in the order of ranks, on every rank."""
         if self.size == 1:
             return list(items)
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             gathered = self.comm.allgather(list(items))
         return [item for part in gathered for item in part]
 
     def gather_to(self, item: T, rank: int = 0) -> list[T] | None:
         """Collect an item of every rank on one of them, in the order of ranks; None on the others."""
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             items: list[T] | None = self.comm.gather(item, root=rank)
         return items
 
@@ -285,8 +281,7 @@ class Team:
         goes_to = np.zeros(self.size, np.int32)
         goes_to[list(items)] = 1
         n_coming = np.zeros(1, np.int32)
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             # No rank ends this sum before all have begun it, hence none mixes two exchanges.
             self.comm.Reduce_scatter_block(goes_to, n_coming)
             sends = [self.comm.isend((self.rank, item), dest=to, tag=_EXCHANGED) for to, item in items.items()]
@@ -326,13 +321,16 @@ class Team:
 
     def wait_for_all(self) -> None:
         """Wait until every rank has come here."""
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
+            pass
 
-    def _meet(self) -> None:
-        """Wait until every rank has come here: then the operation that follows keeps none waiting."""
-        if self.size > 1:
-            self.waiting.wait_until(self.comm.Ibarrier().Test)
+    @contextmanager
+    def _all_here(self) -> Iterator[None]:
+        """Begin once every rank has come here, so that no operation keeps one waiting; counts as waiting to the end."""
+        with self.waiting.counted():
+            if self.size > 1:
+                self.waiting.wait_until(self.comm.Ibarrier().Test)
+            yield
 
     def _hear_from(self, root: int) -> None:
         """Wait until one rank has come here, which does not wait for the others."""
@@ -343,8 +341,7 @@ class Team:
     @contextmanager
     def of_this_node(self) -> Iterator[Team]:
         """Give the team of the ranks that share this rank's memory, and end it; its waiting counts as this team's."""
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             comm = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
         try:
             yield Team(comm, self.waiting, self.stop)
