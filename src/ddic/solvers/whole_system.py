@@ -1,4 +1,4 @@
-"""Linear steps on the whole region, Eq. 11 of [BP17]: by one sparse Cholesky spread over ranks, or A never formed.
+"""Steps that solve for dq of the whole region, Eq. 11 of [BP17]: by a Cholesky spread over ranks, or A never formed.
 
 A = M + eta Kbar^T Kbar is a sum over the subdomains' parts. Conjugate gradients need no more than its products.
 """

@@ -130,7 +130,7 @@ def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: IntAr
 
 
 def find_motion_rows(system: LocalSystem, ghosts: IntArray, scales: dict[int, Array]) -> MotionRows | None:
-    """Find the rows of the motion of a subdomain's camera, where that moves: Eq. 21 of [BP17].
+    """Find the rows of the motion of the subdomain's camera, where that moves: Eq. 21 of [BP17].
 
     ``system`` is with the motion of its camera, ``ghosts`` are as for ``build_local_dual``, ``scales`` is kappa of
     ``MotionRows``, (n_motion,), by camera.
