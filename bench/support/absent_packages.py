@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from ddic.cli.app import command_line
 from ddic.solvers import petsc
-from ddic.solvers.local_operator import MISSING_PACKAGE
+from ddic.solvers.local_system import MISSING_PACKAGE
 
 MATRICES = ("seqaij", "mpiaij", "seqsbaij", "mpisbaij")
 FACTORS = (1, 2)

@@ -32,14 +32,12 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_metis
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
-from ddic.solvers.assembled import AssembledStep
-from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.gauss_newton import SHARE
 from ddic.solvers.linear_step import AllowedError, LinearStep
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.local_system import LocalOperator, LocalSystem
+from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 
 DUAL: tuple[Preconditioner, ...] = ("paper", "scaled", "two_level")
 """Preconditioners of the dual solver."""

@@ -30,7 +30,7 @@ from ddic.problem.assembly import Assembly
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import StepResult
-from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalOperator
 
 COARSE, FINE = 1e-6, 1e-10
 MOST = {"two_level": 300, "scaled": 300, "paper": 500, "none": 1000}

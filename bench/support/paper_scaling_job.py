@@ -27,7 +27,7 @@ from ddic.parallel.team import Team
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.dual.coarse_space import CoarseSpace
-from ddic.solvers.dual.local_dual import RankDual
+from ddic.solvers.dual.dual_problem import DualSchurOperator
 from ddic.solvers.dual.preconditioner import DualPreconditioner
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.gauss_newton import IterationRecord
@@ -223,7 +223,7 @@ def book_coarse() -> None:
 def main(case_files: list[str]) -> None:
     book_argument("together", "together")
     book_argument("build_on_root", "on rank 0")
-    book_cpu(RankDual, "apply", "S_s")
+    book_cpu(DualSchurOperator, "apply_own", "S_s")
     book_cpu(DualPreconditioner, "apply_own", "P_s")
     book_exchange("fetch_ghosts")
     book_exchange("add_to_owners")

@@ -37,8 +37,7 @@ from ddic.problem.region_mesh import (
 from ddic.problem.views import Hessians, open_frame_views, read_reference_views
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import MonolithicStep
+from ddic.solvers.local_system import LocalOperator, MonolithicStep
 
 ALONE = Team(MPI.COMM_SELF)
 """This rank without the others."""

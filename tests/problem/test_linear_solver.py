@@ -18,10 +18,9 @@ from ddic.parallel.team import Team
 from ddic.problem.assembly import Assembly
 from ddic.problem.linear_solver import LONG_WAVELENGTH, MANY_SUBDOMAINS, LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem
-from ddic.solvers.assembled import AssembledStep
-from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 from support.cases import write_case, write_images
 from support.petsc_objects import count_live_objects
 from support.prepared import assemble_alike, prepare

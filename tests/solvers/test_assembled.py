@@ -9,8 +9,8 @@ from petsc4py import PETSc
 from ddic.errors import FactorizationError, SingularSubdomainError, is_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
-from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.dual.dual_step import DualSettings
+from ddic.solvers.whole_system import AssembledStep
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 from support.textureless import corner, without_texture
 

@@ -9,9 +9,8 @@ from petsc4py import PETSc
 from ddic.errors import ConvergenceError, SingularSubdomainError, is_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
-from ddic.solvers.assembled import AssembledStep
-from ddic.solvers.conjugate_gradient import OF_ALLOWED, ConjugateGradientStep
 from ddic.solvers.linear_step import AllowedError
+from ddic.solvers.whole_system import OF_ALLOWED, AssembledStep, ConjugateGradientStep
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 from support.textureless import corner, without_texture
 

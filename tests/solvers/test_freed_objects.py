@@ -11,13 +11,12 @@ from scipy import sparse
 
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.parallel.team import Team
-from ddic.solvers.assembled import AssembledStep
-from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, SparseInverse
 from ddic.solvers.exchange import average_copies
 from ddic.solvers.linear_step import AllowedError
-from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalOperator
+from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 from support.linear import Decomposed, StepProblem, linear_step, split
 from support.petsc_objects import count_live_objects
 from support.textureless import corner, without_texture

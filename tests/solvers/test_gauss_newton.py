@@ -30,8 +30,7 @@ from ddic.solvers.gauss_newton import (
     stay_silent,
 )
 from ddic.solvers.linear_step import AllowedError, StepResult
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import MonolithicStep
+from ddic.solvers.local_system import LocalOperator, MonolithicStep
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal, Translation
 from support.fields import field_of, plain_field
 from support.one_subdomain import measure_alone, model_of, system_of

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from ddic.errors import FactorizationError, SingularSubdomainError
 from ddic.solvers import petsc
-from ddic.solvers.local_operator import MISSING_PACKAGE, OUT_OF_MEMORY, ZERO_PIVOT, LocalOperator, describe_failure
+from ddic.solvers.local_system import MISSING_PACKAGE, OUT_OF_MEMORY, ZERO_PIVOT, LocalOperator, describe_failure
 
 N = 40
 

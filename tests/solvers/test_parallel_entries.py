@@ -10,8 +10,9 @@ from scipy import sparse
 
 from ddic.errors import FactorizationError
 from ddic.parallel.team import Team
-from ddic.solvers import assembled, petsc
-from ddic.solvers.assembled import ParallelEntries
+from ddic.solvers import exchange as spread
+from ddic.solvers import petsc
+from ddic.solvers.exchange import ParallelEntries
 from ddic.solvers.petsc import check_petsc_size, to_petsc_integers
 
 RANKS = (1, 2, 3, 4)
@@ -43,7 +44,7 @@ def test_blocks_of_all_ranks_add_up(team: Team, chunk: int) -> None:
         for rows, columns, block in _make_blocks(team, rank):
             expected[np.ix_(rows, columns)] += block
     entries = ParallelEntries(team, N_ROWS, N_COLUMNS)
-    with patch.object(assembled, "_CHUNK", chunk):
+    with patch.object(spread, "_CHUNK", chunk):
         for number, (rows, columns, block) in enumerate(_make_blocks(team, team.rank)):
             if number % 2:
                 entries.add(rows, columns, block)

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
+from ddic.solvers.step_costs import StepCandidate, StepCosts, StepTask, predict_costs
 
 TASK = StepTask(n_unknowns=320_000, n_cells=159_000, wavelength=8.0, n_ranks=2, n_steps=5)
 WAYS = {
-    "cg": Candidate("conjugate_gradient", 2),
-    "assembled": Candidate("assembled", 2),
-    "one": Candidate("dual", 100),
-    "two": Candidate("dual", 100, "two_level"),
+    "cg": StepCandidate("conjugate_gradient", 2),
+    "assembled": StepCandidate("assembled", 2),
+    "one": StepCandidate("dual", 100),
+    "two": StepCandidate("dual", 100, "two_level"),
 }
 
 
@@ -49,6 +49,14 @@ def test_more_unknowns_take_more_and_more_ranks_less(way: str) -> None:
     one, large, shared = costs(way), costs(way, n_unknowns=640_000), costs(way, n_ranks=4)
     assert large.seconds > one.seconds > shared.seconds
     assert large.memory > one.memory > shared.memory
+
+
+@pytest.mark.parametrize("wavelength", [0.0, 8.0])
+def test_the_factor_of_the_only_subdomain_has_no_interface(wavelength: float) -> None:
+    task = replace(TASK, n_ranks=1, wavelength=wavelength)
+    alone, as_dual = (predict_costs(task, StepCandidate(method, 1)) for method in ("monolithic", "dual"))
+    assert alone.n_iterations == 0
+    assert (alone.seconds, alone.step, alone.memory) == (as_dual.seconds, as_dual.step, as_dual.memory)
 
 
 def test_conjugate_gradients_take_least_memory() -> None:

@@ -11,13 +11,12 @@ from scipy import sparse
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.team import Team
-from ddic.solvers.assembled import AssembledStep
-from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.correction_size import measure_unit_size
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.exchange import average_copies
 from ddic.solvers.linear_step import LinearStep
+from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 from support.linear import Decomposed, linear_step, one_domain_solution, split
 
 RANKS = [1, 2, 3, 4]

@@ -24,13 +24,11 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain, Weighting, interface_weights
-from ddic.solvers.dual.dual_problem import DualProblem
+from ddic.solvers.dual.dual_problem import DualProblem, LocalDual
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
-from ddic.solvers.dual.local_dual import LocalDual
 from ddic.solvers.exchange import Exchange
 from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from support.oracles import make_on_root
 from support.pictures import source
 

@@ -18,8 +18,7 @@ from ddic.partition.build_subdomains import build_subdomains
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Progress, Solution, gauss_newton
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from support.fields import field_of
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -11,7 +10,9 @@ from numpy.typing import NDArray
 from ddic.functionals.regularization import Material
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
-from ddic.separated.band_sums import BandSums, divide_rows, sum_groups, sum_neighbours
+from ddic.parallel.distribution import TeamSums
+from ddic.parallel.team import Team
+from ddic.separated.band_sums import divide_rows
 from ddic.separated.field import LineElements, SeparatedField, scale_modes
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands, cut_bands
 from ddic.separated.separated_regularization import (
@@ -24,26 +25,6 @@ from support.pictures import pair_of, source
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-
-
-class SerialSums(BandSums):
-    """All bands are on this rank."""
-
-    def add_up(self, of_bands: Iterable[Array]) -> Array:
-        """Sum them."""
-        return sum_groups([sum_neighbours(0, of_bands)])
-
-    def join(self, of_bands: Iterable[Array]) -> Array:
-        """Put them side by side."""
-        return np.concatenate(list(of_bands), axis=-1)
-
-    def broadcast(self, item: T) -> T:
-        """Return it."""
-        return item
-
-    def together(self, work: Callable[[], T]) -> T:
-        """Run it."""
-        return work()
 
 
 def build_zero_field(along_x: LineElements, along_y: LineElements) -> SeparatedField:
@@ -65,7 +46,7 @@ def reference_of(image: Array, region: tuple[float, float, float, float], size: 
     read = source(image, mask)
     window = Window((along_x.pixels.start, along_y.pixels.start), (along_x.pixels.stop, along_y.pixels.stop))
     bands = cut_bands(read_reference(read, window, degree), along_x, divide_rows(along_y))
-    return ReferenceBands(along_x, along_y, bands, read.extent, SerialSums())
+    return ReferenceBands(along_x, along_y, bands, read.extent, TeamSums(Team.alone(), 0))
 
 
 def frame_of(displacement: DisplacementField, region: tuple[float, float, float, float], size: float, *,

@@ -18,8 +18,7 @@ from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Correction, Progress, run_gauss_newton
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from ddic.synth.fields import Translation
 from ddic.visibility.slow_nodes import (
     LEAST_KNOWN,

@@ -6,7 +6,7 @@ several subdomains share, the same on all of them, and over bands of rows that a
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def _smallest_limit(before: Array, low: float, n_ranks: int) -> float:
     return high
 
 
-def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], Array]], ) -> list[Subdomain]:
+def scatter_subdomains(team: Team, build: Callable[[], tuple[list[Subdomain], Array]]) -> list[Subdomain]:
     """Build all subdomains on rank 0 and give each rank its own, in their order; collective.
 
     ``build`` runs on rank 0 alone and returns all subdomains and the work of each, (n_subdomains,). Raises InputError
@@ -101,39 +101,27 @@ def stream_to_root(team: Team, items: Iterator[T], take: Callable[[T], object]) 
             if team.is_root:
                 take(item)
             else:
-                _send(team, [item])
+                team.finish_sends([team.begin_send([item], 0, _STREAM)])
     except Exception as caught:
         error = caught
     if team.is_root:
         error = _take_streams(team, take, error)
     else:
         # An empty message ends a rank's stream.
-        _send(team, [])
+        team.finish_sends([team.begin_send([], 0, _STREAM)])
     team.share_error(error)
 
 
 def _take_streams(team: Team, take: Callable[[T], object], error: Exception | None) -> Exception | None:
     """Take what the other ranks send; after an error it is received all the same, for they wait for that."""
     for rank in range(1, team.size):
-        while message := _receive(team, rank):
+        while message := team.receive(rank, _STREAM):
             if error is None:
                 try:
                     take(message[0])
                 except Exception as caught:
                     error = caught
     return error
-
-
-def _send(team: Team, message: list[T]) -> None:
-    with team.waiting.counted():
-        team.waiting.wait_until(team.comm.isend(message, dest=0, tag=_STREAM).Test)
-
-
-def _receive(team: Team, rank: int) -> list[Any]:
-    with team.waiting.counted():
-        message: list[Any] = team.receive_message(rank, _STREAM)
-    return message
-
 
 
 def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence[Array]) -> list[Array]:
@@ -203,7 +191,7 @@ class TeamSums(BandSums):
 
     def broadcast(self, item: T) -> T:
         """Give all ranks what rank 0 has."""
-        return item if self.team.size == 1 else self.team.broadcast(item)
+        return self.team.broadcast(item)
 
     def together(self, work: Callable[[], T]) -> T:
         """Run work on every rank; an error of one is raised on all."""

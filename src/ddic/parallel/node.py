@@ -84,23 +84,14 @@ def _read_fields(path: Path) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class _Offer:
-    """What the first rank of a node opened.
+    """What the first rank of a node opened: the image and, where it was decoded whole, its pixels or a file of them.
 
-    Attributes
-    ----------
-    source : ImageSource
-        The image.
-    pixels : (height, width) array or None
-        Where the rank is alone on its node, and the image had to be decoded whole.
-    file, shape, dtype
-        Where other ranks map the pixels from.
+    The pixels themselves, (height, width), where the rank is alone on its node; else other ranks map the file.
     """
 
     source: ImageSource
     pixels: NDArray[Any] | None = None
     file: Path | None = None
-    shape: tuple[int, ...] = ()
-    dtype: np.dtype[Any] | None = None
 
 
 def open_once_a_node(team: Team, opened: Callable[[], tuple[ImageSource, NDArray[Any] | None]]) -> ImageSource:
@@ -128,7 +119,7 @@ def _offer(source: ImageSource, pixels: NDArray[Any] | None, *, alone: bool) -> 
     """What the node's other ranks are given."""
     if pixels is None or alone:
         return _Offer(source, pixels)
-    return _Offer(source, None, _store(source.path, pixels), pixels.shape, pixels.dtype)
+    return _Offer(source, file=_store(source.path, pixels))
 
 
 def _store(path: Path, pixels: NDArray[Any]) -> Path:
@@ -137,7 +128,7 @@ def _store(path: Path, pixels: NDArray[Any]) -> Path:
     try:
         with tempfile.NamedTemporaryFile(prefix="ddic-image-", delete=False) as stream:
             file = Path(stream.name)
-            pixels.tofile(stream)
+            np.save(stream, pixels)
     except OSError as error:
         if file is not None:
             file.unlink(missing_ok=True)
@@ -150,7 +141,5 @@ def _store(path: Path, pixels: NDArray[Any]) -> Path:
 
 def _accept(offer: _Offer) -> ImageSource:
     """The image that was offered."""
-    pixels = offer.pixels
-    if offer.file is not None:
-        pixels = np.asarray(np.memmap(offer.file, offer.dtype, mode="r", shape=offer.shape))
+    pixels = offer.pixels if offer.file is None else np.asarray(np.load(offer.file, mmap_mode="r"))
     return offer.source if pixels is None else ArraySource(offer.source.path, pixels, offer.source.saturation)

@@ -176,15 +176,14 @@ class Team:
 
         Raises on all ranks what the work of the lowest rank that fails raises.
         """
-        result: Any = None
         error: Exception | None = None
         try:
             result = work()
         except Exception as caught:
             error = caught
+        # Does not return where there is no result.
         self.share_error(error)
-        final: T = result
-        return final
+        return result
 
     def alike(self, work: Callable[[], T]) -> T:
         """Run work that every rank does alike, with collective operations inside it.
@@ -201,8 +200,7 @@ class Team:
         """Raise on all ranks what the lowest rank with an error brings; nothing where all bring None."""
         if error is None and self.size == 1:
             return
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             failed = self.comm.allreduce(self.size if error is None else self.rank, op=MPI.MIN)
         if failed < self.size:
             portable = None if error is None else make_portable(error, self.rank)
@@ -239,8 +237,7 @@ class Team:
         return sum(counts[: self.rank])
 
     def _reduce(self, value: Summable, operation: MPI.Op) -> Summable:
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             if not isinstance(value, np.ndarray):
                 result: Summable = self.comm.allreduce(value, op=operation)
                 return result
@@ -266,15 +263,13 @@ class Team:
         """Join the lists of all ranks, in the order of ranks, on every rank."""
         if self.size == 1:
             return list(items)
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             gathered = self.comm.allgather(list(items))
         return [item for part in gathered for item in part]
 
     def gather_to(self, item: T, rank: int = 0) -> list[T] | None:
         """Collect an item of every rank on one of them, in the order of ranks; None on the others."""
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             items: list[T] | None = self.comm.gather(item, root=rank)
         return items
 
@@ -286,8 +281,7 @@ class Team:
         goes_to = np.zeros(self.size, np.int32)
         goes_to[list(items)] = 1
         n_coming = np.zeros(1, np.int32)
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             # No rank ends this sum before all have begun it, hence none mixes two exchanges.
             self.comm.Reduce_scatter_block(goes_to, n_coming)
             sends = [self.comm.isend((self.rank, item), dest=to, tag=_EXCHANGED) for to, item in items.items()]
@@ -302,15 +296,16 @@ class Team:
         with self.waiting.counted():
             if self.is_root:
                 self.comm.send(item, dest=to, tag=_SENT)
-            result: T | None = self.receive_message(0, _SENT) if self.rank == to else None
-        return result
+        return self.receive(0) if self.rank == to else None
 
-    def begin_send(self, item: object, to: int) -> MPI.Request:
+    def begin_send(self, item: object, to: int, tag: int = _SENT) -> MPI.Request:
         """Send an item to a rank, which calls ``receive``, without waiting until it arrives; not collective.
 
-        It is pickled at once, hence free to change. ``finish_sends`` takes the request.
+        It is pickled at once, hence free to change. ``finish_sends`` takes the request; ``tag`` tells kinds of items
+        apart.
         """
-        return self.comm.isend(item, dest=to, tag=_SENT)
+        with self.waiting.counted():
+            return self.comm.isend(item, dest=to, tag=tag)
 
     def finish_sends(self, requests: Iterable[MPI.Request]) -> None:
         """Wait until the items of ``begin_send`` have left; not collective."""
@@ -318,25 +313,24 @@ class Team:
             for request in requests:
                 self.waiting.wait_until(request.Test)
 
-    def receive(self, source: int) -> Any:
-        """Wait for the next item that a rank sends to this one with ``begin_send``; not collective."""
+    def receive(self, source: int, tag: int = _SENT) -> Any:
+        """Wait for the next item of a kind that a rank sends to this one; not collective."""
         with self.waiting.counted():
-            return self.receive_message(source, _SENT)
-
-    def receive_message(self, source: int, tag: int) -> Any:
-        """Wait for a message of one kind, its tag, and take it; not collective."""
-        self.waiting.wait_until(lambda: self.comm.Iprobe(source, tag))
-        return self.comm.recv(source=source, tag=tag)
+            self.waiting.wait_until(lambda: self.comm.Iprobe(source, tag))
+            return self.comm.recv(source=source, tag=tag)
 
     def wait_for_all(self) -> None:
         """Wait until every rank has come here."""
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
+            pass
 
-    def _meet(self) -> None:
-        """Wait until every rank has come here: then the operation that follows keeps none waiting."""
-        if self.size > 1:
-            self.waiting.wait_until(self.comm.Ibarrier().Test)
+    @contextmanager
+    def _all_here(self) -> Iterator[None]:
+        """Begin once every rank has come here, so that no operation keeps one waiting; counts as waiting to the end."""
+        with self.waiting.counted():
+            if self.size > 1:
+                self.waiting.wait_until(self.comm.Ibarrier().Test)
+            yield
 
     def _hear_from(self, root: int) -> None:
         """Wait until one rank has come here, which does not wait for the others."""
@@ -347,8 +341,7 @@ class Team:
     @contextmanager
     def of_this_node(self) -> Iterator[Team]:
         """Give the team of the ranks that share this rank's memory, and end it; its waiting counts as this team's."""
-        with self.waiting.counted():
-            self._meet()
+        with self._all_here():
             comm = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
         try:
             yield Team(comm, self.waiting, self.stop)

@@ -113,8 +113,7 @@ def number_chains(sharing: Sharing, has_row: BoolArray, n_subdomains: int) -> Ch
 
 
 def build_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: BoolArray,
-                     interior: BoolArray | None = None,
-                     has_row: BoolArray | None = None) -> list[Subdomain]:
+                     interior: BoolArray | None = None, has_row: BoolArray | None = None) -> list[Subdomain]:
     """Cut a mesh and its unknowns into self-contained subdomains, all of them, by number.
 
     ``parts`` is the subdomain of each cell, 0 to n - 1 without gaps; ``controlled`` says whether each unknown's

@@ -141,21 +141,37 @@ def keep_sides_determined(sides: CutSides, cameras: IntArray, parts: IntArray) -
 
 
 def _find_needs(sides: CutSides) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """1 where a node's unknowns matter to a cell, and where a cell has pixels enough of a node; (n_cells, n_nodes)."""
-    pixels, takes_part = _find_cells_at_phantoms(sides)
-    total = np.asarray(pixels.sum(axis=0)).ravel()
-    return takes_part, _find_enough(pixels, total)
+    """1 where a node's unknowns matter to a cell before the cut, and where the cell has pixels enough of the node.
+
+    Both (n_cells, cut.mesh.n_nodes), nothing at nodes without phantoms.
+    """
+    cut, kinematics = sides.cut, sides.kinematics
+    mesh = cut.mesh
+    n_twins = np.bincount(cut.node_of)[cut.node_of]
+    has_phantom = sparse.diags((n_twins > 1).astype(float))
+    cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
+    ones = np.ones(len(cell_of_corner))
+    corners = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
+    n_cells = int(cut.cell_of.max()) + 1
+    fold = sparse.csr_matrix((np.ones(mesh.n_cells), (cut.cell_of, np.arange(mesh.n_cells))), (n_cells, mesh.n_cells))
+
+    rows = abs(kinematics.matrix).tocoo()
+    owners = kinematics.seen_at[rows.col]
+    depends = sparse.csr_matrix((np.ones(len(owners)), (rows.row // mesh.dim, owners)), (mesh.n_nodes, mesh.n_nodes))
+    weights = sparse.csr_matrix((sides.corner_weights, (cell_of_corner, mesh.connectivity)), corners.shape)
+    pixels = (fold @ weights @ has_phantom).tocsr()
+    takes_part = (fold @ corners @ depends @ has_phantom).tocsr()
+    takes_part.eliminate_zeros()
+    takes_part.data[:] = 1.0
+
+    seen = pixels.tocoo()
+    enough = seen.data >= LEAST_SHARE * np.asarray(pixels.sum(axis=0)).ravel()[seen.col]
+    sees_enough = sparse.csr_matrix((np.ones(enough.sum()), (seen.row[enough], seen.col[enough])), pixels.shape)
+    return takes_part, sees_enough
 
 
 def _list_cells_with_needs(needs: sparse.csr_matrix) -> list[int]:
     return [int(cell) for cell in np.flatnonzero(np.diff(needs.indptr))]
-
-
-def _find_enough(pixels: sparse.csr_matrix, total: Array) -> sparse.csr_matrix:
-    """1 where a cell has pixels enough of a node, both (n_cells, n_nodes)."""
-    seen = pixels.tocoo()
-    enough = seen.data >= LEAST_SHARE * total[seen.col]
-    return sparse.csr_matrix((np.ones(enough.sum()), (seen.row[enough], seen.col[enough])), pixels.shape)
 
 
 def _choose_hosts(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cell: int,
@@ -176,29 +192,3 @@ def _are_met(needs: sparse.csr_matrix, sees_enough: sparse.csr_matrix, cells: li
     """Whether some cells see enough of all nodes that are needed."""
     is_seen = np.asarray(sees_enough[cells].sum(axis=0)).ravel() > 0
     return bool(is_seen[needs.indices].all())
-
-
-def _find_cells_at_phantoms(sides: CutSides) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """Pixels of each node in each cell before the cut, and whether the node's unknowns matter to the cell.
-
-    Both (n_cells, cut.mesh.n_nodes), nothing at nodes without phantoms.
-    """
-    cut, kinematics = sides.cut, sides.kinematics
-    mesh = cut.mesh
-    n_twins = np.bincount(cut.node_of)[cut.node_of]
-    has_phantom = sparse.diags((n_twins > 1).astype(float))
-    cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
-    ones = np.ones(len(cell_of_corner))
-    corners = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
-    n_cells = int(cut.cell_of.max()) + 1
-    fold = sparse.csr_matrix((np.ones(mesh.n_cells), (cut.cell_of, np.arange(mesh.n_cells))), (n_cells, mesh.n_cells))
-
-    rows = abs(kinematics.matrix).tocoo()
-    owners = kinematics.seen_at[rows.col]
-    depends = sparse.csr_matrix((np.ones(len(owners)), (rows.row // mesh.dim, owners)), (mesh.n_nodes, mesh.n_nodes))
-    weights = sparse.csr_matrix((sides.corner_weights, (cell_of_corner, mesh.connectivity)), corners.shape)
-    pixels = fold @ weights @ has_phantom
-    takes_part = (fold @ corners @ depends @ has_phantom).tocsr()
-    takes_part.eliminate_zeros()
-    takes_part.data[:] = 1.0
-    return pixels.tocsr(), takes_part

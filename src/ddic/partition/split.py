@@ -61,14 +61,9 @@ def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> IntArray:
     Gives the subdomain of each cell. ``blocks`` are counted along each axis; those that hold no cell are dropped.
     """
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
-    counts = np.asarray(blocks)
-    place = np.floor((mesh.centroids - low) / (high - low) * counts).astype(np.int64)
-    place = np.clip(place, 0, counts - 1)
+    place = np.floor((mesh.centroids - low) / (high - low) * np.asarray(blocks)).astype(np.int64)
     # The first axis varies fastest.
-    number = np.zeros(mesh.n_cells, dtype=np.int64)
-    for axis in reversed(range(mesh.dim)):
-        number = number * counts[axis] + place[:, axis]
-    return renumber(number)
+    return renumber(np.ravel_multi_index(tuple(place.T), blocks, mode="clip", order="F"))
 
 
 def renumber(parts: IntArray) -> IntArray:
@@ -117,11 +112,6 @@ def estimate_cell_costs(mesh: Mesh) -> Array:
     for block in mesh.cell_blocks:
         own_nodes[block.cells] = block.type.n_nodes / block.type.cells_around_node
     return np.asarray(rasterize(mesh).pixel_counts + NODE_PIXELS * own_nodes)
-
-
-def sum_costs(costs: Array, parts: IntArray) -> Array:
-    """Add up the work of each subdomain, (n_subdomains,), from the work and the subdomain of each cell."""
-    return np.asarray(np.bincount(parts, weights=costs), dtype=np.float64)
 
 
 Adjacency = tuple[IntArray, IntArray]
@@ -259,7 +249,6 @@ def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motio
     n_chain_rows = sum(subdomain.n_owned_rows for subdomain in subdomains)
     # Unknowns of all motions, camera after camera; each has a row of its own after those of the chains.
     first = np.concatenate([[0], np.cumsum(n_motion_unknowns)]).astype(np.int64)
-    cameras = list(cameras)
     with_motion = []
     for place, (subdomain, camera) in enumerate(zip(subdomains, cameras, strict=True)):
         of_camera = np.arange(first[camera], first[camera + 1])
@@ -268,10 +257,9 @@ def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motio
             is_lowest = cameras.index(camera) == place
             motion = MotionUnknowns(n_field + of_camera, n_chain_rows + of_camera, cameras.count(camera), is_lowest)
         with_motion.append(replace(subdomain, camera=camera, motion=motion))
-    last = with_motion[-1]
+    last = with_motion.pop()
     n_motion_rows = int(first[-1])
-    with_motion[-1] = replace(last, n_owned_rows=last.n_owned_rows + n_motion_rows)
-    return with_motion
+    return [*with_motion, replace(last, n_owned_rows=last.n_owned_rows + n_motion_rows)]
 
 
 def _apportion(work: Array, total: int, most: Sequence[int]) -> list[int]:

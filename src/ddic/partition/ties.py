@@ -6,7 +6,6 @@ of all, and how its nodes are tied.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -15,7 +14,7 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError, list_first
 from ddic.mesh.interpolation import find_cells_with_points, is_inside_outline
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.mortar import Mortar, Overlaps, Sides, find_overlaps, integrate_mortar
+from ddic.mesh.mortar import Mortar, Sides, find_overlaps, integrate_mortar
 from ddic.mesh.topology import Facets, find_boundary_facets, find_facets
 
 TOLERANCE = 1e-6
@@ -38,31 +37,21 @@ class FarSide:
         Number of the near camera whose mesh takes the place of each cell; 0 where the cell is kept.
     tolerance : float
         Distance below which points are one, pixels.
+    rest : Mesh
+        The cells that are kept.
+    kept_cells, node_ids : (rest.n_cells,) and (rest.n_nodes,) array of int64
+        Numbers of its cells and nodes in the whole far mesh.
+    edges : (n_edges, 2) array of int64
+        Its boundary, by its nodes.
     """
 
     whole: Mesh
     replaced_by: IntArray
     tolerance: float
-
-    @cached_property
-    def kept_cells(self) -> IntArray:
-        """Numbers of the cells that are kept, (n_kept,)."""
-        return np.flatnonzero(self.replaced_by == 0)
-
-    @cached_property
-    def rest(self) -> Mesh:
-        """The cells that are kept."""
-        return self.whole.create_submesh(self.kept_cells)[0]
-
-    @cached_property
-    def node_ids(self) -> IntArray:
-        """Numbers in the whole far mesh of the nodes of the rest, (rest.n_nodes,)."""
-        return self.whole.create_submesh(self.kept_cells)[1]
-
-    @cached_property
-    def edges(self) -> IntArray:
-        """Boundary of the rest, by its nodes, (n_edges, 2)."""
-        return _boundary_edges(self.rest)
+    rest: Mesh
+    kept_cells: IntArray
+    node_ids: IntArray
+    edges: IntArray
 
 
 @dataclass(frozen=True)
@@ -77,8 +66,8 @@ class NearSide:
         Its cells, far-field pixels.
     edges : (n_edges, 2) array of int64
         Its boundary, by nodes.
-    overlaps : Overlaps
-        Pieces of line that its edges have in common with far ones.
+    cover, far_cover : array
+        Share of each of these edges that far edges cover, and of each far edge that these cover.
     mortar : Mortar
         How its nodes on the common line follow far nodes.
     """
@@ -86,13 +75,9 @@ class NearSide:
     number: int
     mesh: Mesh
     edges: IntArray
-    overlaps: Overlaps
+    cover: Array
+    far_cover: Array
     mortar: Mortar
-
-    @cached_property
-    def cover(self) -> Array:
-        """Share of each edge that far edges cover, (n_edges,)."""
-        return self.overlaps.measure_near_cover(len(self.edges))
 
     @property
     def free_edges(self) -> IntArray:
@@ -108,32 +93,31 @@ class Contact:
     ----------
     far : FarSide
         What is left of the far mesh.
-    near : tuple of NearSide
+    near : list of NearSide
         In the order in which they were given.
+    far_cover : (n_edges,) array
+        Share of each far edge that near edges cover.
     """
 
     far: FarSide
-    near: tuple[NearSide, ...]
-
-    @cached_property
-    def far_cover(self) -> Array:
-        """Share of each far edge that near edges cover, (n_edges,)."""
-        n_edges = len(self.far.edges)
-        by_mesh = [near.overlaps.measure_far_cover(n_edges) for near in self.near]
-        return np.asarray(np.sum(by_mesh, axis=0), dtype=np.float64)
+    near: list[NearSide]
+    far_cover: Array
 
 
-def find_contact(far: Mesh, near: Mapping[int, Mesh]) -> Contact:
+def _find_contact(far: Mesh, near: Mapping[int, Mesh]) -> Contact:
     """Find which far cells near meshes replace, and where they touch the others.
 
-    Near meshes are given by the number of their camera, in far-field pixels. What comes back is not checked yet for
-    edges that do not follow each other. Raises InputError where near meshes overlap or touch each other, leave no far
-    cell, or touch none.
+    What comes back is not checked yet for edges that do not follow each other. Raises InputError where near meshes
+    overlap or touch each other, leave no far cell, or touch none.
     """
     replaced_by = _find_replaced_cells(far, near)
     tolerance = TOLERANCE * float(np.ptp(far.nodes, axis=0).max())
-    far_side = FarSide(far, replaced_by, tolerance)
-    return Contact(far_side, tuple(_find_near_side(far_side, number, mesh) for number, mesh in near.items()))
+    kept_cells = np.flatnonzero(replaced_by == 0)
+    rest, node_ids = far.create_submesh(kept_cells)
+    far_side = FarSide(far, replaced_by, tolerance, rest, kept_cells, node_ids, _boundary_edges(rest))
+    sides = [_find_near_side(far_side, number, mesh) for number, mesh in near.items()]
+    far_cover = np.sum([side.far_cover for side in sides], axis=0)
+    return Contact(far_side, sides, np.asarray(far_cover, dtype=np.float64))
 
 
 def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> IntArray:
@@ -177,7 +161,8 @@ def _find_near_side(far: FarSide, number: int, mesh: Mesh) -> NearSide:
     if len(overlaps.near) == 0:
         raise InputError(f"near, entry {number}: its mesh has no boundary in common with the far elements around it; "
                          "align its outline with edges of far elements")
-    return NearSide(number, mesh, edges, overlaps, integrate_mortar(sides, overlaps))
+    cover, far_cover = overlaps.measure_near_cover(len(edges)), overlaps.measure_far_cover(len(far.edges))
+    return NearSide(number, mesh, edges, cover, far_cover, integrate_mortar(sides, overlaps))
 
 
 def _boundary_edges(mesh: Mesh) -> IntArray:
@@ -185,7 +170,7 @@ def _boundary_edges(mesh: Mesh) -> IntArray:
     return np.asarray(find_boundary_facets(mesh)[:, :2])
 
 
-def check_contact(contact: Contact) -> None:
+def _check_contact(contact: Contact) -> None:
     """Check that the outline of each near mesh follows far edges from node to node.
 
     Raises InputError where an outline cuts far cells, or an edge touches the other side only in part, or twice.
@@ -194,13 +179,13 @@ def check_contact(contact: Contact) -> None:
     far = contact.far
     partly = _covered_in_part(contact.far_cover)
     if partly.any():
-        x, y = _first_midpoint(far.rest, far.edges[partly])
+        x, y = far.rest.nodes[far.edges[partly][0]].mean(axis=0)
         raise InputError(f"near.mesh: the edge of a far element around column {x:.0f}, row {y:.0f} touches a near mesh "
                          "in part only; let the common boundary end at nodes of both meshes")
     for near in contact.near:
         partly = _covered_in_part(near.cover)
         if partly.any():
-            x, y = _first_midpoint(near.mesh, near.edges[partly])
+            x, y = near.mesh.nodes[near.edges[partly][0]].mean(axis=0)
             raise InputError(f"near, entry {near.number}: an edge of its mesh around column {x:.1f}, row {y:.1f} "
                              "touches far elements in part only; let the common boundary end at nodes of both meshes")
 
@@ -261,11 +246,6 @@ def _covered_in_part(cover: Array) -> BoolArray:
     return np.asarray(is_covered & ~is_whole)
 
 
-def _first_midpoint(mesh: Mesh, edges: IntArray) -> Array:
-    """Midpoint of the first of some edges, (2,)."""
-    return np.asarray(mesh.nodes[edges[0]].mean(axis=0))
-
-
 @dataclass(frozen=True)
 class Tying:
     """What the cells of several meshes, put into one, have to do with each other.
@@ -298,8 +278,8 @@ def tie_meshes(far: Mesh, near: Mapping[int, Mesh]) -> tuple[Mesh, Tying]:
     sets of one name are joined. Raises InputError where a near mesh cuts far cells, touches another near mesh or
     touches no far cell.
     """
-    contact = find_contact(far, near)
-    check_contact(contact)
+    contact = _find_contact(far, near)
+    _check_contact(contact)
     numbering = _number_nodes(contact)
     rest = contact.far.rest
     mesh = _put_together([rest, *(side.mesh for side in contact.near)], numbering)
@@ -320,20 +300,18 @@ class _Numbering:
 
 def _number_nodes(contact: Contact) -> _Numbering:
     n_far = contact.far.rest.n_nodes
-    n_free = [near.mesh.n_nodes - len(near.mortar.slaves) for near in contact.near]
-    next_free = n_far
-    next_slave = n_unknown = n_far + sum(n_free)
     of_mesh = [np.arange(n_far)]
+    next_free = n_far
+    next_slave = n_unknown = n_far + sum(near.mesh.n_nodes - len(near.mortar.slaves) for near in contact.near)
     for near in contact.near:
-        is_slave = np.zeros(near.mesh.n_nodes, dtype=bool)
-        is_slave[near.mortar.slaves] = True
-        n_slaves = len(near.mortar.slaves)
+        slaves = near.mortar.slaves
+        free = np.setdiff1d(np.arange(near.mesh.n_nodes), slaves)
         numbers = np.empty(near.mesh.n_nodes, dtype=np.int64)
-        numbers[~is_slave] = next_free + np.arange(near.mesh.n_nodes - n_slaves)
-        numbers[near.mortar.slaves] = next_slave + np.arange(n_slaves)
+        numbers[free] = next_free + np.arange(len(free))
+        numbers[slaves] = next_slave + np.arange(len(slaves))
         of_mesh.append(numbers)
-        next_free += near.mesh.n_nodes - n_slaves
-        next_slave += n_slaves
+        next_free += len(free)
+        next_slave += len(slaves)
     return _Numbering(of_mesh, n_unknown, n_nodes=next_slave)
 
 

@@ -14,14 +14,12 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly
 from ddic.problem.region_mesh import compute_cut_off_wavelength
-from ddic.solvers.assembled import AssembledStep
-from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import GuardedStep, LinearStep
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from ddic.solvers.petsc import LOCAL_FACTORS
+from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 
 MANY_SUBDOMAINS = 8
 """Subdomains below which one level of preconditioning is always enough."""

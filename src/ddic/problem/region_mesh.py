@@ -31,7 +31,6 @@ from ddic.partition.split import (
     split_by_blocks,
     split_by_camera,
     split_by_metis,
-    sum_costs,
 )
 from ddic.partition.subdomain import Subdomain
 from ddic.partition.ties import Tying
@@ -145,7 +144,7 @@ class RegionMesh:
         cameras = [int(self.cameras[s.cell_ids[0]]) for s in subdomains]
         n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in self.inputs.cameras]
         subdomains = add_motions(subdomains, cameras, n_motion_unknowns, self.kinematics.n_unknowns)
-        return subdomains, sum_costs(self.costs, parts)
+        return subdomains, np.asarray(np.bincount(parts, weights=self.costs), dtype=np.float64)
 
 
 def build_region_mesh(inputs: Inputs) -> RegionMesh:

@@ -113,7 +113,7 @@ class HeldRotation:
         subdomains = [system.subdomain for system in self.systems]
         # Whatever the motion, its centre is the region's.
         centre = fit_rigid_motion(Field.zero(self.team, subdomains)).centre
-        kbars = [EquilibriumRows.of(system).assemble() for system in self.systems]
+        kbars = [EquilibriumRows(system).assemble() for system in self.systems]
         gaps = [kbar @ _fit_fields(s, centre) for s, kbar in zip(subdomains, kbars, strict=True)]
         complete = _add_up(self.team, subdomains, gaps)
         return [np.asarray(system.eta * (kbar.T @ gap))

@@ -34,7 +34,7 @@ from ddic.problem.renewal import AssembledFrom, describe_lost_pixels, find_free_
 from ddic.problem.residual_model import ResidualModel
 from ddic.problem.views import open_frame_views, weigh_cameras
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.local_operator import describe_lost
+from ddic.solvers.local_system import describe_lost
 
 
 class WeightedProblem:

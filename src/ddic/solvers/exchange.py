@@ -1,19 +1,31 @@
-"""Who owns which number, and the neighbour exchange of values.
+"""Who owns which number, the neighbour exchange of values, and matrices whose rows ranks make for one another.
 
 From the copies of an interface unknown comes one value, section 5.3.2 of [BP17].
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
+from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Interface, Subdomain, copies_of
 from ddic.solvers.petsc import PetscStack, check_petsc_size, to_petsc_integers
+
+
+class Multiplying(Protocol):
+    """Context of a shell matrix."""
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Multiply y = A x: PETSc's callback."""
+        ...
 
 
 class Exchange:
@@ -64,6 +76,13 @@ class Exchange:
         vector.set(0.0)
         return vector
 
+    def create_matrix(self, context: Multiplying) -> PETSc.Mat:
+        """Create a shell matrix on owned numbers over all ranks, the caller's to destroy."""
+        size = (self.n_owned, self.n_global)
+        matrix = PETSc.Mat().createPython((size, size), context, comm=self.team.comm)
+        matrix.setUp()
+        return matrix
+
     def fetch_ghosts(self, owned: PETSc.Vec) -> Array:
         """Fetch the values of all numbers that this rank takes part in, in the order of ``ghosts``; collective."""
         self._scatter.scatter(owned, self._ghost, addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
@@ -81,6 +100,115 @@ class Exchange:
             owned = stack.keep(self.create_vector())
             self.add_to_owners(ghosts, owned)
             return self.fetch_ghosts(owned)
+
+
+_CHUNK = 2**23
+"""Entries collected before duplicates are added up: what neighbours add to the same place would else fill memory. A
+larger number adds up less often and takes more memory."""
+
+
+@dataclass(frozen=True)
+class SomeRows:
+    """Some rows of a large sparse matrix.
+
+    Attributes
+    ----------
+    numbers : (n,) array of int64
+        Of the rows in the whole matrix.
+    entries : (n, all columns) csr_matrix
+        These rows; entries of one place add up.
+    """
+
+    numbers: IntArray
+    entries: sparse.csr_matrix
+
+    def cut(self, start: int, end: int) -> SomeRows:
+        """Cut out the rows from ``start`` to before ``end``, numbers in the whole matrix; numbers are sorted here."""
+        first, last = np.searchsorted(self.numbers, (start, end))
+        return SomeRows(self.numbers[first:last], self.entries[first:last])
+
+
+class ParallelEntries:
+    """A parallel sparse matrix in the making, from blocks anywhere in it; overlapping blocks add up.
+
+    Each rank holds the rows that it has added to, whoever owns them.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    n_rows, n_columns : int
+        How many this rank owns.
+    """
+
+    def __init__(self, team: Team, n_rows: int, n_columns: int) -> None:
+        self._team = team
+        self._local_rows = team.gather_lists([n_rows])
+        self._local_columns = team.gather_lists([n_columns])
+        self._n_columns = sum(self._local_columns)
+        self._blocks: list[SomeRows] = []
+        self._n_waiting = 0
+
+    def add(self, rows: IntArray, columns: IntArray, block: Array) -> None:
+        """Add a dense block, (n, k), at its rows, (n,), and columns, (k,), of the whole matrix."""
+        n, k = block.shape
+        # Zeros of a block are entries too.
+        entries = (block.ravel(), np.tile(np.arange(k), n), k * np.arange(n + 1))
+        self.add_sparse(rows, columns, sparse.csr_matrix(entries, shape=(n, k)))
+
+    def add_sparse(self, rows: IntArray, columns: IntArray, matrix: sparse.csr_matrix) -> None:
+        """Add a sparse block, (n, k), at its rows, (n,), and columns, (k,), of the whole matrix."""
+        entries = (matrix.data, columns[matrix.indices], matrix.indptr)
+        self._blocks.append(SomeRows(rows, sparse.csr_matrix(entries, shape=(len(rows), self._n_columns))))
+        self._n_waiting += matrix.nnz
+        if self._n_waiting > _CHUNK:
+            self._blocks = [self._add_up(self._blocks)]
+            self._n_waiting = 0
+
+    def sum_owned_rows(self) -> sparse.csr_matrix:
+        """Sum what all ranks added to the rows that this rank owns, (n_rows, all columns); collective."""
+        added = self._add_up(self._blocks)
+        self._blocks = []
+        ends = np.cumsum(self._local_rows)
+        starts = ends - self._local_rows
+        by_owner = {rank: added.cut(start, end) for rank, (start, end) in enumerate(zip(starts, ends, strict=True))}
+        rank = self._team.rank
+        # What stays is not sent: a message has at most 2 GiB.
+        own = by_owner.pop(rank)
+        received = self._team.exchange({owner: rows for owner, rows in by_owner.items() if len(rows.numbers)})
+        total = self._add_up([own, *received.values()])
+        n_entries = np.zeros(self._local_rows[rank], np.int64)
+        n_entries[total.numbers - starts[rank]] = np.diff(total.entries.indptr)
+        row_starts = np.concatenate([[0], np.cumsum(n_entries)])
+        local = sparse.csr_matrix((total.entries.data, total.entries.indices, row_starts),
+                                  shape=(len(n_entries), self._n_columns))
+        local.sort_indices()
+        return local
+
+    def create_matrix(self) -> PETSc.Mat:
+        """Create the matrix over all ranks, the caller's to destroy; collective.
+
+        Raises FactorizationError where it is too large for PETSc's integers.
+        """
+        local = self.sum_owned_rows()
+        rank = self._team.rank
+        row_sizes = (self._local_rows[rank], sum(self._local_rows))
+        column_sizes = (self._local_columns[rank], self._n_columns)
+        check_petsc_size(max(row_sizes[1], self._n_columns), "rows of a matrix")
+        csr = (to_petsc_integers(local.indptr, "entries of a rank's rows"),
+               to_petsc_integers(local.indices, "columns of a matrix"), local.data)
+        return PETSc.Mat().createAIJ((row_sizes, column_sizes), csr=csr, comm=self._team.comm)
+
+    def _add_up(self, blocks: Sequence[SomeRows]) -> SomeRows:
+        """The rows that blocks add up to, sorted."""
+        none: IntArray = np.zeros(0, np.int64)
+        numbers = np.unique(np.concatenate([none, *(block.numbers for block in blocks)]))
+        n_entries = np.concatenate([none, *(np.diff(block.entries.indptr) for block in blocks)])
+        rows = np.concatenate([none, *(np.searchsorted(numbers, block.numbers) for block in blocks)])
+        columns = np.concatenate([none, *(block.entries.indices for block in blocks)])
+        values = np.concatenate([np.zeros(0), *(block.entries.data for block in blocks)])
+        entries = (values, (np.repeat(rows, n_entries), columns))
+        return SomeRows(numbers, sparse.coo_matrix(entries, shape=(len(numbers), self._n_columns)).tocsr())
 
 
 def fetch_copies(team: Team, subdomains: Sequence[Subdomain], values: Sequence[tuple[Interface, Array]],

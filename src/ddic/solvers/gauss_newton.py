@@ -63,7 +63,8 @@ class AndersonMixing:
             # What was learnt comes from another part of the way: a plain step finds back.
             self._changes = []
         self._last_norm = norm
-        gamma = np.zeros(0) if not self._changes else _solve(gram[:-1, :-1], gram[:-1, -1])
+        n = len(self._changes)
+        gamma = _solve(gram[:n, :n], gram[:n, -1])
         mixed = q + dq
         for share, (of_q, of_dq) in zip(gamma, self._changes, strict=True):
             mixed = mixed - share * (of_q + of_dq)

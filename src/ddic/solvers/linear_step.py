@@ -88,7 +88,7 @@ class LinearStep(Protocol):
         ...
 
 
-class GuardedStep:
+class GuardedStep(LinearStep):
     """Solves by an iterative step as long as that converges, then by another one.
 
     Parameters
@@ -104,26 +104,10 @@ class GuardedStep:
         self._build_other: Callable[[ConvergenceError], LinearStep] | None = build_other
 
     def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
-        """Solve for dq; collective.
-
-        Parameters
-        ----------
-        q : Field
-            Unknowns, pixels.
-        b : Field
-            Forces on them, grey levels squared per pixel.
-        allowed : AllowedError, optional
-            Error that may be left; None: what the tolerance allows.
-
-        Returns
-        -------
-        StepResult
-            Of the first step, or of the other one.
+        """Solve for dq by the first step, or by the one in its place, whose errors it raises on all ranks; collective.
 
         Raises
         ------
-        ConvergenceError, SingularSubdomainError, FactorizationError
-            On all ranks, of the step that took the first one's place.
         RuntimeError
             Where the step was freed.
         """

@@ -16,8 +16,7 @@ from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import AllowedError, LinearStep
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.local_system import LocalOperator, LocalSystem
 
 N_PROBES = 4
 """Random vectors. Their mean is off by sqrt(2 / (N_PROBES trace)) of the trace: 3 % of 500; four times as many halve
@@ -39,7 +38,8 @@ def estimate_degrees_of_freedom(team: Team, systems: Sequence[LocalSystem], step
     n_unknowns = team.maximum(max(int(system.subdomain.numbers.max(initial=-1)) for system in systems)) + 1
     traces = []
     for probe in range(N_PROBES):
-        signs = _draw_signs(n_unknowns, probe)
+        # The same on every rank and for every partition.
+        signs = np.random.default_rng(probe).choice([-1.0, 1.0], size=n_unknowns)
         z = at_rest.with_parts(signs[subdomain.numbers] for subdomain in at_rest.subdomains)
         b = z.map(lambda subdomain, z_s: scale * z_s / subdomain.all_multiplicity)
         y = step.solve(at_rest, b, _ENOUGH_FOR_TRACE).dq / scale
@@ -56,11 +56,6 @@ def _find_scale(team: Team, systems: Sequence[LocalSystem]) -> float:
 def _multiply_by_hessians(systems: Sequence[LocalSystem], y: Field) -> Field:
     """M_s y_s."""
     return y.with_parts(system.hessian @ y_s for system, y_s in zip(systems, y, strict=True))
-
-
-def _draw_signs(n: int, probe: int) -> Array:
-    """Random signs of all unknowns, the same on every rank and for every partition, (n,)."""
-    return np.random.default_rng(probe).choice([-1.0, 1.0], size=n)
 
 
 def generate_bits(numbers: IntArray, stream: int) -> Array:
@@ -130,9 +125,9 @@ def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearSt
     """
     subdomains = [system.subdomain for system in systems]
     at_rest = Field.zero(team, subdomains)
-    chosen = [np.ones(subdomain.mesh.n_nodes) for subdomain in subdomains]
-    if counted is not None:
-        chosen = [of_nodes.astype(np.float64) for of_nodes in counted]
+    if counted is None:
+        counted = [np.ones(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
+    chosen = [of_nodes.astype(np.float64) for of_nodes in counted]
     # Of nodes, a share in each subdomain that has them.
     shares = [of_nodes / s.node_multiplicity for s, of_nodes in zip(subdomains, chosen, strict=True)]
     scale = _find_scale(team, systems)

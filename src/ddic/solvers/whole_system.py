@@ -1,25 +1,25 @@
-"""M + eta Kbar^T Kbar, Eq. 11 of [BP17], of the whole region: sums over the subdomains' parts, never formed."""
+"""Steps that solve for dq of the whole region, Eq. 11 of [BP17]: by a Cholesky spread over ranks, or A never formed.
 
-from __future__ import annotations
+A = M + eta Kbar^T Kbar is a sum over the subdomains' parts. Conjugate gradients need no more than its products.
+"""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.arrays import Array, IntArray
-from ddic.errors import SingularSubdomainError, as_collective
+from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError, as_collective
 from ddic.functionals.scale_rows import scale_rows
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.solvers.exchange import Exchange
-from ddic.solvers.local_operator import describe_singular
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc import PetscStack
+from ddic.solvers.correction_size import measure_unit_size
+from ddic.solvers.exchange import Exchange, ParallelEntries
+from ddic.solvers.linear_step import AllowedError, StepResult
+from ddic.solvers.local_system import LocalSystem, bound_lowest_eigenvalue, describe_singular
+from ddic.solvers.petsc import ASSEMBLED, CONJUGATE_GRADIENT, PetscStack, create_ksp
 
 
 class WholeSystem:
@@ -55,7 +55,7 @@ class WholeSystem:
             self.numbers, self.n_owned = _number_by_rank(team, self._subdomains)
             self.exchange = stack.keep(Exchange(team, self.n_owned, self.numbers))
             self._places = [np.searchsorted(self.exchange.ghosts, n) for n in self.numbers]
-            self.rows = [EquilibriumRows.of(system) for system in systems]
+            self.rows = [EquilibriumRows(system) for system in systems]
             self._multiplicity = self.sum_over_subdomains([np.ones(len(n)) for n in self.numbers])
             self._objects = stack.pop_all()
 
@@ -116,7 +116,7 @@ class WholeSystem:
         Raises SingularSubdomainError on all ranks.
         """
         with PetscStack() as stack:
-            diagonal = stack.keep(self.create_vector())
+            diagonal = stack.keep(self.exchange.create_vector())
             operator.getDiagonal(diagonal)
             number, lowest = diagonal.min()
         if not lowest > 0:
@@ -133,10 +133,6 @@ class WholeSystem:
         x, y = self._team.gather_lists(nodes)[0][:2]
         place = f"the region around column {x:.0f}, row {y:.0f}"
         return as_collective(SingularSubdomainError(describe_singular(place)))
-
-    def create_vector(self) -> PETSc.Vec:
-        """Create a zero vector of owned unknowns over all ranks, the caller's to destroy."""
-        return self.exchange.create_vector()
 
     def destroy(self, _: PETSc.Mat | None = None) -> None:
         """Free PETSc's objects; PETSc calls it too, when the shell matrix goes whose context this is."""
@@ -180,7 +176,6 @@ def _find_node(subdomain: Subdomain, unknown: int) -> Array:
     return np.asarray(nodes[int(np.linalg.norm(column, axis=1).argmax())])
 
 
-@dataclass(frozen=True)
 class EquilibriumRows:
     """Kbar_s without the weights of interface rows, so that its rows add up over subdomains to Kbar.
 
@@ -188,49 +183,261 @@ class EquilibriumRows:
     sqrt(m) make that the row of the whole region, the paper's weight 1 leaves that row over sqrt(m).
     Products take the system's own stiffness: a matrix of other rows would be as large as M.
 
-    Attributes
+    Parameters
     ----------
-    stiffness : (n_field, n_unknowns) csr_matrix
-        diag(w) T^T K T.
-    factors : (n_field,) array
-        Of its rows, no unit.
+    system : LocalSystem
+        Its field has Kbar_s; without regularization, all rows are empty.
     """
 
-    stiffness: sparse.csr_matrix
-    factors: Array
-
-    @classmethod
-    def of(cls, system: LocalSystem) -> EquilibriumRows:
-        """Take those of a system, whose field has Kbar_s; without regularization, all are empty."""
-        subdomain = system.subdomain
-        factors = 1.0 / np.sqrt(subdomain.multiplicity)
+    def __init__(self, system: LocalSystem) -> None:
+        n_field, n_unknowns = system.subdomain.n_field, system.subdomain.n_unknowns
+        # diag(w) T^T K T, and factors of its rows.
+        self._stiffness = sparse.csr_matrix((n_field, n_unknowns)) if system.stiffness is None else system.stiffness
+        self._factors = 1.0 / np.sqrt(system.subdomain.multiplicity)
         if system.projection is not None:
-            factors = factors * system.projection
-        if system.stiffness is None:
-            return cls(sparse.csr_matrix((subdomain.n_field, subdomain.n_unknowns)), np.ones(subdomain.n_field))
-        return cls(system.stiffness, factors)
+            self._factors = self._factors * system.projection
+        # Kept: making the matrix anew takes longer than its product with a vector.
+        self._transposed = self._stiffness.T
 
     def multiply(self, x: Array) -> Array:
         """Compute Kbar_s x, x in pixels; 0 for a camera's motion: it displaces no matter, so is in no equilibrium."""
         product = np.zeros(len(x))
-        np.multiply(self.factors, self.stiffness @ x, out=product[:len(self.factors)])
+        np.multiply(self._factors, self._stiffness @ x, out=product[:len(self._factors)])
         return product
 
     def multiply_transposed(self, gap: Array) -> Array:
         """Compute Kbar_s^T times a value of each unknown, forces, (n_unknowns,), without those of a camera's motion."""
-        return np.asarray(self._transposed @ (self.factors * gap[:len(self.factors)]))
+        return np.asarray(self._transposed @ (self._factors * gap[:len(self._factors)]))
 
     def sum_squares(self) -> Array:
         """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s, (n_unknowns,)."""
-        return np.asarray(self.stiffness.power(2).T @ self.factors**2)
+        return np.asarray(self._stiffness.power(2).T @ self._factors**2)
 
     def assemble(self) -> sparse.csr_matrix:
         """Form the square matrix, for who needs more than its products; rows of a camera's motion are zero."""
-        n_field, n_unknowns = self.stiffness.shape
+        n_field, n_unknowns = self._stiffness.shape
         no_equilibrium = sparse.csr_matrix((n_unknowns - n_field, n_unknowns))
-        return sparse.vstack([scale_rows(self.stiffness, self.factors), no_equilibrium]).tocsr()
+        return sparse.vstack([scale_rows(self._stiffness, self._factors), no_equilibrium]).tocsr()
 
-    @cached_property
-    def _transposed(self) -> sparse.csc_matrix:
-        """The same numbers; making the matrix anew takes longer than its product with a vector."""
-        return self.stiffness.T
+
+ZERO_PIVOT = -10
+"""MUMPS's INFOG(1) for a matrix that is numerically singular."""
+
+
+class AssembledStep:
+    """Solves Eq. 11 of [BP17] for all subdomains at once, by a factor of A.
+
+    PETSc options (prefix ``assembled_``): Cholesky by MUMPS. Making it raises SingularSubdomainError or
+    FactorizationError on all ranks.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    systems : sequence of LocalSystem
+        This rank's subdomains.
+    smallest_eigenvalue : float
+        Below it A counts as singular, grey levels squared per pixel squared.
+    """
+
+    def __init__(self, team: Team, systems: Sequence[LocalSystem], smallest_eigenvalue: float) -> None:
+        with PetscStack() as stack:
+            self._whole = stack.keep(WholeSystem(team, systems))
+            self._matrix = stack.keep(_assemble(team, self._whole))
+            self._left = stack.keep(self._whole.exchange.create_vector())
+            self._right = stack.keep(self._whole.exchange.create_vector())
+            self._ksp = stack.keep(create_ksp(team.comm, ASSEMBLED))
+            self._factorize(team.rank, smallest_eigenvalue)
+            self._objects = stack.pop_all()
+
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq; where copies of an unknown differ in q, q + dq is one field, as of the dual step."""
+        q_mean = self._whole.average_copies(q)
+        self._whole.set_right_hand_side(self._right, q, b, q_mean)
+        self._ksp.solve(self._right, self._left)
+        return StepResult(self._whole.find_correction(self._left, q, q_mean))
+
+    def forget(self) -> None:
+        """Do nothing: no step teaches another."""
+
+    def destroy(self) -> None:
+        """Free PETSc's objects; must be called before the interpreter ends."""
+        self._objects.close()
+
+    def _factorize(self, seed: int, smallest_eigenvalue: float) -> None:
+        """Factorise A and refuse it where it is singular."""
+        # Not left to MUMPS, which says no more than that a pivot is zero.
+        self._whole.check_diagonal(self._matrix)
+        self._ksp.setOperators(self._matrix)
+        self._ksp.setFromOptions()
+        self._ksp.setUp()
+        with PetscStack() as stack:
+            factor = stack.keep(self._ksp.getPC().getFactorMatrix())
+            self._check_memory(factor)
+            self._left.setArray(np.random.default_rng(seed).standard_normal(self._left.getLocalSize()))
+            lowest = bound_lowest_eigenvalue(factor, self._left)
+        # A factor that broke down at a zero pivot solves to infinity, hence counts as singular too.
+        if not lowest > smallest_eigenvalue:
+            self._left.abs()
+            raise self._whole.describe_singular(self._left.max()[0])
+
+    def _check_memory(self, factor: PETSc.Mat) -> None:
+        """Raise where MUMPS failed for another reason than a zero pivot."""
+        if self._ksp.getPC().getFactorSolverType() != "mumps":
+            return
+        code = factor.getMumpsInfog(1)
+        if code < 0 and code != ZERO_PIVOT:
+            raise as_collective(FactorizationError(
+                f"MUMPS could not factorise the assembled operator (INFOG(1) = {code}, INFOG(2) = "
+                f"{factor.getMumpsInfog(2)}), most often for want of memory; start more ranks or use "
+                'solver.method = "dual"'))
+
+
+def _assemble(team: Team, whole: WholeSystem) -> PETSc.Mat:
+    """Assemble A of Eq. 11 of [BP17]: rows of Kbar are complete before they are squared."""
+    rows = ParallelEntries(team, whole.n_owned, whole.n_owned)
+    entries = ParallelEntries(team, whole.n_owned, whole.n_owned)
+    for system, of_system, numbers in zip(whole.systems, whole.rows, whole.numbers, strict=True):
+        entries.add_sparse(numbers, numbers, system.hessian)
+        rows.add_sparse(numbers, numbers, of_system.assemble())
+    kbar_rows = rows.sum_owned_rows()
+    touched, places = np.unique(kbar_rows.indices, return_inverse=True)
+    kbar_touched = sparse.csr_matrix((kbar_rows.data, places.reshape(-1), kbar_rows.indptr),
+                                     shape=(kbar_rows.shape[0], len(touched)))
+    columns = touched.astype(np.int64)
+    squared = (kbar_touched.T @ kbar_touched).tocsr()
+    entries.add_sparse(columns, columns, whole.systems[0].eta * squared)
+    matrix = entries.create_matrix()
+    matrix.setOption(PETSc.Mat.Option.SPD, True)
+    return matrix
+
+
+LOOK_EVERY = 4
+"""Iterations between two estimates of the extreme eigenvalues: fewer estimate more often, more may iterate too long."""
+
+OF_ALLOWED = 0.1
+"""Share of the allowed error that is left: ten more iterations cost less than one more pass over the pixels. A larger
+share iterates less and leaves more error."""
+
+
+class ConjugateGradientStep:
+    """Solves Eq. 11 of [BP17] for all subdomains at once, preconditioned by the diagonal D of A.
+
+    Nothing is factorised: two products with Kbar_s and one with M_s an iteration, whose number grows with the cut-off
+    wavelength. PETSc options (prefix ``cg_``): ``-cg_ksp_monitor``, ``-cg_ksp_type``... Making it raises
+    SingularSubdomainError on all ranks, where an unknown is held by nothing.
+
+    Parameters
+    ----------
+    team : Team
+        All ranks; they make it together.
+    systems : sequence of LocalSystem
+        This rank's subdomains.
+    tolerance : float
+        On the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with z = D^-1 times the residual.
+    max_iterations : int
+        Most iterations of one step.
+    """
+
+    def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
+        self._tolerance = tolerance
+        self._unit_size = measure_unit_size(team, [system.subdomain for system in systems])
+        with PetscStack() as stack:
+            self._whole = stack.keep(WholeSystem(team, systems))
+            self._matrix = stack.keep(self._whole.exchange.create_matrix(self._whole))
+            self._matrix.setOption(PETSc.Mat.Option.SPD, True)
+            self._left = stack.keep(self._whole.exchange.create_vector())
+            self._right = stack.keep(self._whole.exchange.create_vector())
+            self._residual = stack.keep(self._whole.exchange.create_vector())
+            self._preconditioned = stack.keep(self._whole.exchange.create_vector())
+            self._ksp = stack.keep(create_ksp(team.comm, CONJUGATE_GRADIENT))
+            self._configure(max_iterations)
+            self._objects = stack.pop_all()
+        self.forget()
+
+    def solve(self, q: Field, b: Field, allowed: AllowedError | None = None) -> StepResult:
+        """Solve for dq, with an estimate of its error; where copies of an unknown differ in q, q + dq is one field.
+
+        The last solution is taken up again where that helps, as it does when one step is asked for more exactly. Raises
+        ConvergenceError on all ranks, where ``max_iterations`` are not enough.
+        """
+        q_mean = self._whole.average_copies(q)
+        self._whole.set_right_hand_side(self._right, q, b, q_mean)
+        size = self._preconditioned_norm(self._right)
+        begun = self._preconditioned_norm(self._residual_of_last())
+        if not begun < size:
+            self._left.set(0.0)
+            begun = size
+        self._ksp.setConvergenceTest(self._make_test(size, begun, allowed))
+        self._ksp.setConvergenceHistory(reset=True)
+        self._ksp.solve(self._right, self._left)
+        iterations = int(self._ksp.getIterationNumber())
+        norm = float(self._ksp.getResidualNorm())
+        if self._ksp.getConvergedReason() < 0:
+            raise as_collective(ConvergenceError(
+                f"conjugate gradients did not converge in {iterations} iterations (relative "
+                f"residual {norm / (size or 1.0):.1e}): the cut-off wavelength is too long for "
+                'them, or nothing holds a part of the region; use solver.method = "dual", or raise '
+                "solver.max_iterations"))
+        history = np.array(self._ksp.getConvergenceHistory()) / (size or 1.0)
+        dq = self._whole.find_correction(self._left, q, q_mean)
+        return StepResult(dq, iterations, history, self._estimate_error(norm))
+
+    def forget(self) -> None:
+        """Forget the last solution, and the bounds of the eigenvalues that earlier steps found."""
+        self._left.set(0.0)
+        # Of D^-1 A, from all iterations so far.
+        self._largest, self._lowest = 1.0, 1.0
+
+    def destroy(self) -> None:
+        """Free PETSc's objects; must be called before the interpreter ends."""
+        self._objects.close()
+
+    def _configure(self, max_iterations: int) -> None:
+        """Set up the Krylov solver."""
+        self._ksp.setOperators(self._matrix)
+        self._ksp.setTolerances(max_it=max_iterations)
+        self._ksp.setInitialGuessNonzero(True)
+        self._ksp.setComputeSingularValues(True)
+        self._ksp.setConvergenceHistory(length=max_iterations + 2, reset=True)
+        self._ksp.setFromOptions()
+        self._whole.check_diagonal(self._matrix)
+        self._ksp.setUp()
+
+    def _residual_of_last(self) -> PETSc.Vec:
+        """Residual that the last solution leaves of the present right-hand side."""
+        self._matrix.mult(self._left, self._residual)
+        self._residual.aypx(-1.0, self._right)
+        return self._residual
+
+    def _preconditioned_norm(self, vector: PETSc.Vec) -> float:
+        """|D^-1 vector|."""
+        self._ksp.getPC().apply(vector, self._preconditioned)
+        return float(self._preconditioned.norm())
+
+    def _estimate_error(self, norm: float) -> float:
+        """RMS over nodes of dq's error, pixels, from |D^-1 r|: A e = r, hence over the lowest eigenvalue of D^-1 A."""
+        return norm / self._lowest * self._unit_size
+
+    def _make_test(self, size: float, begun: float,
+                   allowed: AllowedError | None) -> Callable[[PETSc.KSP, int, float], int]:
+        """PETSc's test of convergence; size, begun: |D^-1 r| of the right-hand side and of the first guess."""
+
+        def test(ksp: PETSc.KSP, iteration: int, norm: float) -> int:
+            if not np.isfinite(norm):
+                return int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
+            if iteration % LOOK_EVERY:
+                return 0
+            if iteration:
+                largest, lowest = ksp.computeExtremeSingularValues()
+                self._largest = max(self._largest, largest)
+                self._lowest = min(self._lowest, lowest)
+            condition = self._largest / self._lowest
+            if norm <= self._tolerance * size / condition:
+                return int(PETSc.KSP.ConvergedReason.CONVERGED_RTOL)
+            if allowed is None or iteration == 0:
+                return 0
+            error = OF_ALLOWED * max(allowed.rms, allowed.share * self._estimate_error(begun))
+            return int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL) if self._estimate_error(norm) <= error else 0
+
+        return test

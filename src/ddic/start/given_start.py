@@ -24,7 +24,7 @@ from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
 from ddic.mesh.topology import find_boundary_facets
-from ddic.solvers.local_operator import LocalOperator
+from ddic.solvers.local_system import LocalOperator
 from ddic.start.coarse_displacement import CutField
 from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
 

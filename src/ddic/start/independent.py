@@ -28,8 +28,7 @@ from ddic.problem.residual_model import ResidualModel, is_deformation_large
 from ddic.problem.views import Hessians, hold_set_ups_still, project_hessians
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Progress, gauss_newton
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from ddic.start.coarse_displacement import LevelMesh
 
 TOLERANCES = Tolerances(relative=1e-3, rms=1e-2, max_iterations=10, largest=np.inf)

@@ -76,7 +76,7 @@ def test_the_preconditioner_inverts_the_operator_on_the_coarse_space() -> None:
             DenseInverse(invert_by_blocks(s, local.n_jumps)) for s, local in zip(schurs, locals_, strict=True)])
         operator = DualSchurOperator(exchange, locals_)
         two_level = TwoLevelPreconditioner(operator, one_level, coarse)
-        matrix = operator.create_matrix()
+        matrix = exchange.create_matrix(operator)
         x, y, image = exchange.create_vector(), exchange.create_vector(), exchange.create_vector()
         start, end = x.getOwnershipRange()
         x.setArray(np.random.default_rng(0).standard_normal(exchange.n_global)[start:end])

@@ -9,8 +9,8 @@ from petsc4py import PETSc
 
 from ddic.kinematics.camera import MotionKind
 from ddic.parallel.team import Team
-from ddic.solvers.dual.dual_problem import MotionPreconditioner
 from ddic.solvers.dual.dual_step import DualStep
+from ddic.solvers.dual.preconditioner import MotionPreconditioner
 from support.near_far_linear import NearFarCut, NearFarStep, near_far_step, saddle_point_solution
 
 RANKS = [1, 2, 3, 4]

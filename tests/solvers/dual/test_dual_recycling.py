@@ -7,8 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.parallel.team import Team
-from ddic.solvers.dual.dual_step import DualSettings
-from ddic.solvers.dual.interface_solver import LARGEST, RecycledSpace
+from ddic.solvers.dual.dual_step import LARGEST, DualSettings, RecycledSpace
 from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import AllowedError
 from support.linear import Decomposed, linear_step, one_domain_solution, split

@@ -14,11 +14,9 @@ from ddic.arrays import Array, IntArray
 from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.kinematics import Kinematics
 from ddic.parallel.team import Team
-from ddic.solvers.assembled import ParallelEntries
-from ddic.solvers.dual.local_dual import LocalDual
-from ddic.solvers.exchange import Exchange
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
+from ddic.solvers.dual.dual_problem import LocalDual
+from ddic.solvers.exchange import Exchange, ParallelEntries
+from ddic.solvers.local_system import LocalOperator, LocalSystem
 from ddic.solvers.petsc import COARSE, PetscStack, create_ksp, to_petsc_integers
 
 INDEPENDENT = 1e-8
@@ -43,22 +41,12 @@ class CoarseColumns:
     ----------
     vectors : (n interface unknowns, n vectors) array
         (C_s phi, 0) of its modes phi, then (0, eta Cbar_s Kbar_s phi), each set orthonormal.
-    n_jumps : int
-        How many of them are of the first kind.
+    signs : (n vectors,) array
+        Sign of the coarse matrix's diagonal at each: 1 for jumps, -1 for reactions.
     """
 
     vectors: Array
-    n_jumps: int
-
-    @property
-    def n_columns(self) -> int:
-        """Number of vectors."""
-        return int(self.vectors.shape[1])
-
-    @property
-    def signs(self) -> Array:
-        """Sign of the coarse matrix's diagonal at each: 1 for jumps, -1 for reactions."""
-        return np.repeat([1.0, -1.0], [self.n_jumps, self.n_columns - self.n_jumps])
+    signs: Array
 
 
 @dataclass(frozen=True)
@@ -88,7 +76,8 @@ def build_coarse_columns(modes: Array, local: LocalDual) -> CoarseColumns:
     traces = local.trace @ modes
     of_jumps = _find_basis(traces[:local.n_jumps])
     of_reactions = _find_basis(traces[local.n_jumps:])
-    return CoarseColumns(np.asarray(linalg.block_diag(of_jumps, of_reactions)), of_jumps.shape[1])
+    signs = np.repeat([1.0, -1.0], [of_jumps.shape[1], of_reactions.shape[1]])
+    return CoarseColumns(np.asarray(linalg.block_diag(of_jumps, of_reactions)), signs)
 
 
 def _find_basis(columns: Array) -> Array:
@@ -115,13 +104,10 @@ class CoarseSpace:
     """
 
     def __init__(self, team: Team, exchange: Exchange, parts: Sequence[CoarsePart]) -> None:
-        counts = [part.columns.n_columns for part in parts]
-        n_owned = sum(counts)
-        first = team.offset(n_owned)
+        signs = np.concatenate([np.zeros(0), *(part.columns.signs for part in parts)])
         with PetscStack() as stack:
-            self._z = stack.keep(_assemble_z(team, exchange, parts, first))
-            products = self._multiply(team, exchange, parts, n_owned)
-            signs = np.concatenate([np.zeros(0), *(part.columns.signs for part in parts)])
+            self._z = stack.keep(_assemble_z(team, exchange, parts, len(signs)))
+            products = self._multiply(team, exchange, parts, len(signs))
             self._ksp = stack.keep(self._factorize(team, products, signs))
             self._right = stack.keep(self._z.createVecRight())
             self._left = stack.keep(self._z.createVecRight())
@@ -159,9 +145,8 @@ class CoarseSpace:
         with PetscStack() as temporary, PetscStack() as stack:
             matrix = temporary.keep(products.create_matrix())
             diagonal = temporary.keep(matrix.getDiagonal())
-            size = temporary.keep(diagonal.copy())
-            size.abs()
-            diagonal.setArray(diagonal.getArray() + SHIFT * size.max()[1] * signs)
+            largest = diagonal.norm(PETSc.NormType.INFINITY)
+            diagonal.setArray(diagonal.getArray() + SHIFT * largest * signs)
             matrix.setDiagonal(diagonal)
             matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             ksp = stack.keep(create_ksp(team.comm, COARSE))
@@ -173,16 +158,16 @@ class CoarseSpace:
             return ksp
 
 
-def _assemble_z(team: Team, exchange: Exchange, parts: Sequence[CoarsePart], first: int) -> PETSc.Mat:
-    """Z: all subdomains' coarse vectors on interface rows; first: number of this rank's first."""
-    n_owned = sum(part.columns.n_columns for part in parts)
+def _assemble_z(team: Team, exchange: Exchange, parts: Sequence[CoarsePart], n_owned: int) -> PETSc.Mat:
+    """Z: all subdomains' coarse vectors, of which this rank owns some, on interface rows."""
     entries = ParallelEntries(team, exchange.n_owned, n_owned)
+    first = team.offset(n_owned)
     for part in parts:
-        n_columns = part.columns.n_columns
         touched = np.unique(part.assembly.tocoo().row)
         block = part.assembly[touched] @ part.columns.vectors
-        entries.add(exchange.ghosts[touched], first + np.arange(n_columns), block)
-        first += n_columns
+        columns = first + np.arange(block.shape[1])
+        entries.add(exchange.ghosts[touched], columns, block)
+        first += len(columns)
     return entries.create_matrix()
 
 

@@ -1,161 +1,210 @@
-"""The interface problem S_tot v = t_tot of all subdomains, Eq. 25-31 of [BP17].
+"""The interface problem S_tot v = t_tot of all subdomains, Eq. 25-31 of [BP17], and what each subdomain brings to it.
 
-Its dual Schur complement S_tot is a PETSc shell operator; what PETSc asks of such operators stands here too. The motion
-of near-field set-ups in the interface problem is eliminated exactly by the preconditioner.
+Its dual Schur complement S_tot is a PETSc shell operator.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import Protocol
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from petsc4py import PETSc
+from scipy import sparse
 
-from ddic.arrays import Array
+from ddic.arrays import Array, IntArray
+from ddic.functionals.scale_rows import scale_rows
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.subdomain import rows_of
-from ddic.solvers.dual.local_dual import LocalDual, RankDual, add_motion_rows, build_local_dual
+from ddic.partition.subdomain import rows_of, signed_incidence
 from ddic.solvers.exchange import Exchange
-from ddic.solvers.local_operator import LocalOperator
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc import PetscStack
+from ddic.solvers.local_system import LocalOperator, LocalSystem
 
 
-class Preconditioning(Protocol):
-    """Context of a shell preconditioner."""
+@dataclass(frozen=True)
+class LocalDual:
+    """A subdomain's operators on the interface: the product of Eq. 30-31 of [BP17] with the two blocks stacked.
 
-    def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply y = P x to residuals x: PETSc's callback."""
-        ...
+    With v = (Lambda, LambdaBar / c), S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, where
+    G_s = [C_s ; c eta Cbar_s Kbar_s] = B_s T_s,  H_s = c^2 eta Cbar_s Cbar_s^T = B_s D_s B_s^T,
+    T_s and D_s act on the subdomain's own interface unknowns (those with jumps first, then those with reactions), B_s
+    is the signed incidence.
+
+    Attributes
+    ----------
+    system, operator : LocalSystem and LocalOperator
+        M_s and Kbar_s, and A_s factorised, both with the motion of the subdomain's camera held.
+    incidence : (n ghost rows, n interface unknowns) csc_matrix
+        B_s.
+    trace : (n interface unknowns, n_field) csr_matrix
+        T_s.
+    compliance : (n interface unknowns,) array
+        Diagonal of D_s, zero for jumps.
+    jump : (n ghost rows, n_field) csc_matrix
+        G_s.
+    n_jumps : int
+        Number of interface unknowns with jumps.
+    motion : MotionRows, optional
+        The rows of the motion of the subdomain's camera.
+    """
+
+    system: LocalSystem
+    operator: LocalOperator
+    incidence: sparse.csc_matrix
+    trace: sparse.csr_matrix
+    compliance: Array
+    jump: sparse.csc_matrix
+    n_jumps: int
+    motion: MotionRows | None = None
+
+    def multiply_schur(self, columns: Array) -> Array:
+        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, not formed, in blocks: no array of (n_field, k) is held.
+
+        S_tot is the sum of B_s S_s B_s^T, Eq. 34-35 of [BP17].
+        """
+        out = np.empty(columns.shape, order="F")
+        step = self.operator.block
+        for begin in range(0, columns.shape[1], step):
+            block = columns[:, begin: begin + step]
+            y = self.operator.solve_many(self.trace.T @ block)
+            out[:, begin: begin + step] = self.trace @ y - self.compliance[:, None] * block
+        return out
 
 
-class Multiplying(Protocol):
-    """Context of a shell matrix."""
+@dataclass(frozen=True)
+class MotionRows:
+    """Rows of the interface problem for the motion alpha of a near-field set-up, unknowns kappa alpha.
 
-    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiply y = S x, x multipliers: PETSc's callback."""
-        ...
+    With R_s the displacements that alpha makes and N_s = M_s R_s, alpha's equation N_s^T u_s + R_s^T M_s R_s alpha
+    = R_s^T b_s, summed over subdomains, has the form of the others: G_s gains the rows N_s^T / kappa, H_s the block
+    R_s^T M_s R_s / kappa^2. Where the near camera alone sees its subdomains, A_s^-1 N_s = R_s, since K R_s = 0: then
+    C_s R_s are alpha's columns in Eq. 20 of [BP17], whose alpha has the other sign (1 from near to far, 0 within one
+    side), and the block's part of S_tot vanishes.
+
+    Attributes
+    ----------
+    rows : (n_motion,) array of int64
+        Ghost rows.
+    columns : (n_field, n_motion) array
+        N_s / kappa.
+    block : (n_motion, n_motion) array
+        R_s^T M_s R_s / kappa^2.
+    scale : (n_motion,) array
+        kappa = sum_s diag R_s^T M_s R_s, which makes the rows' residuals pixels.
+    """
+
+    rows: IntArray
+    columns: Array
+    block: Array
+    scale: Array
+
+
+def build_local_dual(system: LocalSystem, operator: LocalOperator, ghosts: IntArray, scale: float,
+                     motion: MotionRows | None) -> LocalDual:
+    """Build a subdomain's interface operators; ``system`` is without the motion of its camera.
+
+    Jumps and reactions are split into the assembly B_s and the trace T_s on its own interface, Eq. 33 of [BP17].
+    ``ghosts`` are the sorted numbers of the rows that this rank takes part in. ``scale`` is
+    c = 1 / sqrt(eta mean diag M), which gives both blocks of unknowns and of residuals one unit and keeps S_tot
+    symmetric.
+    """
+    subdomain = system.subdomain
+    jumps = subdomain.jumps
+    trace = _select(jumps.unknowns, subdomain.n_field)
+    incidence = signed_incidence(jumps, ghosts)
+    compliance = np.zeros(len(jumps.unknowns))
+    if system.controlled_stiffness is not None:
+        reactions = subdomain.reactions
+        weights = system.row_weights[reactions.unknowns]
+        reaction_rows = system.controlled_stiffness[reactions.unknowns]
+        weighted_rows = scale_rows(reaction_rows, scale * system.eta * weights)
+        trace = sparse.vstack([trace, weighted_rows]).tocsr()
+        incidence = sparse.hstack([incidence, signed_incidence(reactions, ghosts)], format="csc")
+        compliance = np.concatenate([compliance, scale**2 * system.eta * weights**2])
+    jump = incidence @ trace
+    if motion is not None:
+        place = _select(motion.rows, len(ghosts)).T
+        jump = (jump + place @ sparse.csr_matrix(motion.columns.T)).tocsc()
+    return LocalDual(system, operator, incidence, trace, compliance, jump, len(jumps.unknowns), motion)
+
+
+def find_motion_rows(system: LocalSystem, ghosts: IntArray, scales: dict[int, Array]) -> MotionRows | None:
+    """Find the rows of the motion of the subdomain's camera, where that moves: Eq. 21 of [BP17].
+
+    ``system`` is with the motion of its camera, ``ghosts`` are as for ``build_local_dual``, ``scales`` is kappa of
+    ``MotionRows``, (n_motion,), by camera.
+    """
+    unknowns = system.subdomain.motion
+    if unknowns is None:
+        return None
+    scale = scales[system.subdomain.camera]
+    rows = np.searchsorted(ghosts, unknowns.rows)
+    return MotionRows(rows, system.motion_columns / scale, system.motion_block / np.outer(scale, scale), scale)
+
+
+def _select(places: IntArray, size: int) -> sparse.csr_matrix:
+    """The matrix that takes the entries at some places out of a vector, (n places, size)."""
+    n = len(places)
+    return sparse.csr_matrix((np.ones(n), places, np.arange(n + 1)), shape=(n, size))
+
+
+def list_places(sizes: Sequence[int]) -> list[slice]:
+    """List where arrays of some sizes lie in all of them, one after the other."""
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(begin, end) for begin, end in pairwise(ends)]
 
 
 class DualSchurOperator:
     """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
     The matrix is symmetric and quasi-definite; one local solve per subdomain and product. Its blocks, Eq. 27a-c,
-    are never formed.
+    are never formed. A subdomain's matrices are small: to call a product takes longer than to compute it. So there is
+    one product with a sparse matrix for all of a rank.
 
     Parameters
     ----------
     exchange : Exchange
         Of interface rows.
     local_duals : sequence of LocalDual
-        This rank's subdomains.
-
-    Attributes
-    ----------
-    of_rank : RankDual
-        All of them side by side.
+        This rank's subdomains, at least one.
     """
 
     def __init__(self, exchange: Exchange, local_duals: Sequence[LocalDual]) -> None:
-        self._exchange = exchange
-        self.of_rank = RankDual(local_duals)
-
-    @property
-    def team(self) -> Team:
-        """The ranks that the interface is spread over."""
-        return self._exchange.team
+        self.exchange = exchange
+        self._local_duals = local_duals
+        self._fields = list_places([local.operator.n for local in local_duals])
+        self._jump = sparse.hstack([local.jump for local in local_duals], format="csc").tocsr()
+        self._jump_transposed = self._jump.T.tocsr()
+        incidence = sparse.hstack([local.incidence for local in local_duals], format="csc").tocsr()
+        compliance = sparse.diags(np.concatenate([local.compliance for local in local_duals]))
+        self._compliance = (incidence @ compliance @ incidence.T).tocsr()
 
     def mult(self, _: PETSc.Mat | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply y = S_tot x, x multipliers: PETSc's callback."""
-        v = self._exchange.fetch_ghosts(x)
-        self._exchange.add_to_owners(self.of_rank.apply(v), y)
+        v = self.exchange.fetch_ghosts(x)
+        self.exchange.add_to_owners(self.apply_own(v), y)
 
     multTranspose = mult
 
-    def create_vector(self) -> PETSc.Vec:
-        """Create a zero vector of interface rows over all ranks, the caller's to destroy."""
-        return self._exchange.create_vector()
+    def apply_own(self, v: Array) -> Array:
+        """Sum G_s A_s^-1 G_s^T v - H_s v over this rank's subdomains, Eq. 30-31 of [BP17]; free of communication."""
+        y = np.concatenate(self.solve_forces(v))
+        out = np.asarray(self._jump @ y - self._compliance @ v)
+        for local in self._local_duals:
+            if local.motion is not None:
+                out[local.motion.rows] -= local.motion.block @ v[local.motion.rows]
+        return out
 
-    def create_matrix(self, context: Multiplying | None = None) -> PETSc.Mat:
-        """Create a shell matrix of S_tot's size over all ranks, of S_tot itself by default; the caller's to destroy."""
-        size = (self._exchange.n_owned, self._exchange.n_global)
-        matrix = PETSc.Mat().createPython((size, size), context or self, comm=self.team.comm)
-        matrix.setUp()
-        return matrix
+    def solve_forces(self, v: Array) -> list[Array]:
+        """Find what multipliers v, (n ghost rows,), do to the fields: A_s^-1 G_s^T v of each subdomain, (n_field,)."""
+        forces = self._jump_transposed @ v
+        return [local.operator.solve(forces[place])
+                for local, place in zip(self._local_duals, self._fields, strict=True)]
 
-
-class MotionPreconditioner:
-    """Context of PETSc's shell preconditioner for [[S, B], [B^T, -D]] (Lambda, alpha), from P for S alone.
-
-    alpha = (B^T P B + D)^-1 (B^T P r - r_alpha), Lambda = P (r - B alpha): exact where P = S^-1. The rows of alpha are
-    the last ones, all on one rank; P takes and gives zeros there.
-
-    Parameters
-    ----------
-    operator : DualSchurOperator
-        Is applied to alpha's columns here, by all ranks together.
-    inner : Preconditioning
-        P, likewise.
-    n_motion : int
-        Number of unknowns alpha of all set-ups.
-    """
-
-    def __init__(self, operator: DualSchurOperator, inner: Preconditioning, n_motion: int) -> None:
-        self._team = operator.team
-        self._inner = inner
-        self._n = n_motion
-        columns, products, block = [], [], []
-        with PetscStack() as stack:
-            unit, column, solved, self._right = (stack.keep(operator.create_vector()) for _ in range(4))
-            self._here = _find_last_rows(unit, n_motion)
-            for k in range(n_motion):
-                unit.set(0.0)
-                self._put(unit, np.eye(n_motion)[k])
-                operator.mult(None, unit, column)
-                block.append(-self._take(column))
-                self._put(column, np.zeros(n_motion))
-                inner.apply(None, column, solved)
-                columns.append(np.array(column.getArray()))
-                products.append(np.array(solved.getArray()))
-            self._columns = np.stack(columns, axis=1)
-            self._products = np.stack(products, axis=1)
-            d = np.stack(block, axis=1)
-            self._small = self._team.sum(self._columns.T @ self._products) + d
-            self._objects = stack.pop_all()
-
-    def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the preconditioner to x = (r, r_alpha), which gives y = (Lambda, alpha): PETSc's callback."""
-        given = self._take(x)
-        x.copy(self._right)
-        self._put(self._right, np.zeros(self._n))
-        self._inner.apply(pc, self._right, y)
-        projected = self._team.sum(self._columns.T @ y.getArray(readonly=1))
-        alpha = np.linalg.solve(self._small, projected - given)
-        y.setArray(y.getArray(readonly=1) - self._products @ alpha)
-        self._put(y, alpha)
-
-    def destroy(self, _: PETSc.PC | None = None) -> None:
-        """Free PETSc's objects; PETSc calls it too, when the preconditioner goes whose context this is."""
-        self._objects.close()
-
-    def _take(self, vector: PETSc.Vec) -> Array:
-        """Alpha's rows of a vector, on all ranks; collective."""
-        mine = np.zeros(self._n)
-        if self._here is not None:
-            mine[:] = vector.getArray(readonly=1)[self._here]
-        return self._team.sum(mine)
-
-    def _put(self, vector: PETSc.Vec, values: Array) -> None:
-        """Overwrite alpha's rows of a vector."""
-        if self._here is not None:
-            vector.getArray()[self._here] = values
-
-
-def _find_last_rows(vector: PETSc.Vec, n: int) -> slice | None:
-    """Where this rank holds the last n rows of a vector; None where another rank does."""
-    first, end = vector.getOwnershipRange()
-    begin = vector.getSize() - n
-    return slice(begin - first, end - first) if end > begin else None
+    def sum_jumps(self, fields: Sequence[Array]) -> Array:
+        """Sum what fields y_s, (n_field,), contribute to the rows: sum of G_s y_s, (n ghost rows,)."""
+        return np.asarray(self._jump @ np.concatenate(fields))
 
 
 def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, Array]:
@@ -187,8 +236,6 @@ class DualProblem:
 
     Attributes
     ----------
-    systems : list of LocalSystem
-        The same, motions of cameras held.
     exchange : Exchange
         Of interface rows, its owner.
     local_duals : list of LocalDual
@@ -203,7 +250,6 @@ class DualProblem:
                  scale: float) -> None:
         self.team = team
         self.subdomains = [system.subdomain for system in systems]
-        self.systems = [system.without_motion for system in systems]
         scales = sum_motion_scales(team, systems)
         self.n_motion = sum(len(values) for values in scales.values())
         rows = []
@@ -213,9 +259,10 @@ class DualProblem:
                 rows.append(subdomain.motion.rows)
         self.exchange = Exchange(team, sum(s.n_owned_rows for s in self.subdomains), rows)
         self.local_duals = []
-        for system, held_system, operator in zip(systems, self.systems, operators, strict=True):
-            field = build_local_dual(held_system, operator, self.exchange.ghosts, scale)
-            self.local_duals.append(add_motion_rows(field, system, self.exchange.ghosts, scales))
+        for system, operator in zip(systems, operators, strict=True):
+            motion = find_motion_rows(system, self.exchange.ghosts, scales)
+            held = system.without_motion
+            self.local_duals.append(build_local_dual(held, operator, self.exchange.ghosts, scale, motion))
         self.operator = DualSchurOperator(self.exchange, self.local_duals)
 
     def set_right_hand_side(self, right: PETSc.Vec, free: Field, q: Field, b: Field) -> None:
@@ -225,7 +272,7 @@ class DualProblem:
         A_s^-1 (b_s - eta Kbar_s^T Kbar_s u_s), (n_field,); ``q`` is u_s, then the camera's motion.
         """
         fields = [q_s[:len(free_s)] + free_s for q_s, free_s in zip(q, free, strict=True)]
-        total = self.operator.of_rank.sum_jumps(fields)
+        total = self.operator.sum_jumps(fields)
         for local, q_s, b_s in zip(self.local_duals, q, b, strict=True):
             if local.motion is not None:
                 motion, n_field = local.motion, local.operator.n
@@ -235,7 +282,7 @@ class DualProblem:
     def correct(self, free: Field, multipliers: PETSc.Vec) -> Field:
         """Correct by the multipliers v: du_s = free_s - A_s^-1 G_s^T v, pixels, Eq. 24a of [BP17]; collective."""
         v = self.exchange.fetch_ghosts(multipliers)
-        return free - self.operator.of_rank.solve_forces(v)
+        return free - self.operator.solve_forces(v)
 
     def append_motion(self, du: Field, multipliers: PETSc.Vec) -> Field:
         """Append the corrections of cameras' motions, pixels, to those of the fields; collective.

@@ -25,11 +25,17 @@ from ddic.solvers.dual.coarse_space import (
     build_coarse_columns,
     find_low_energy_modes,
 )
-from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, MotionPreconditioner, Preconditioning
-from ddic.solvers.dual.local_dual import LocalDual, list_places
+from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, LocalDual, list_places
 from ddic.solvers.exchange import Exchange, fetch_copies
-from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc import INVERSE, PetscStack, create_ksp, is_mumps_missing, to_petsc_integers
+
+
+class Preconditioning(Protocol):
+    """Context of a shell preconditioner."""
+
+    def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply y = P x to residuals x: PETSc's callback."""
+        ...
 
 
 class SparseInverse:
@@ -44,16 +50,14 @@ class SparseInverse:
 
     Parameters
     ----------
-    matrix : (n_field, n_field) csr_matrix
-        A_s, the camera's motion held.
     local : LocalDual
-        The subdomain's T_s and D_s.
+        The subdomain's A_s, T_s and D_s.
     """
 
-    def __init__(self, matrix: sparse.csr_matrix, local: LocalDual) -> None:
-        self._n_field = matrix.shape[0]
+    def __init__(self, local: LocalDual) -> None:
+        self._n_field = local.operator.n
         with PetscStack() as stack:
-            saddle_point = stack.keep(_build_saddle_point(matrix, local))
+            saddle_point = stack.keep(_build_saddle_point(local))
             ksp = stack.keep(create_ksp(PETSc.COMM_SELF, INVERSE))
             ksp.setOperators(saddle_point)
             ksp.setFromOptions()
@@ -86,12 +90,13 @@ SINGULAR_INTERFACE = ("the interface problem of a subdomain is singular to round
                       "shorter regularization.cut_off_wavelength")
 
 
-def _build_saddle_point(matrix: sparse.csr_matrix, local: LocalDual) -> PETSc.Mat:
+def _build_saddle_point(local: LocalDual) -> PETSc.Mat:
     """The upper triangle of [[A_s, -T_s^T], [-T_s, D_s]] as PETSc's symmetric matrix."""
     n = len(local.compliance)
     # Unknowns with jumps have zeros in D_s, which must be stored: PETSc wants all diagonal entries.
     corner = sparse.csr_matrix((local.compliance, (np.arange(n), np.arange(n))), shape=(n, n))
-    upper = sparse.bmat([[sparse.triu(matrix, format="csr"), -local.trace.T], [None, corner]], format="csr")
+    matrix = sparse.triu(local.system.operator, format="csr")
+    upper = sparse.bmat([[matrix, -local.trace.T], [None, corner]], format="csr")
     upper.sort_indices()
     csr = (to_petsc_integers(upper.indptr, "entries of a subdomain's interface problem"),
            to_petsc_integers(upper.indices, "unknowns of a subdomain's interface problem"), upper.data)
@@ -147,18 +152,6 @@ def _invert_definite(matrix: Array) -> Array:
     return np.asarray(below + below.T + np.diag(inverse.diagonal()))
 
 
-class LocalInverse(Protocol):
-    """S_s^-1 of one subdomain, dense or factorised."""
-
-    def apply(self, r: Array) -> Array:
-        """Apply S_s^-1 to r, (n interface unknowns,)."""
-        ...
-
-    def destroy(self) -> None:
-        """Free what PETSc holds."""
-        ...
-
-
 @dataclass(frozen=True)
 class DenseInverse:
     """S_s^-1 as an array.
@@ -177,6 +170,10 @@ class DenseInverse:
 
     def destroy(self) -> None:
         """Nothing to free: the array is Python's."""
+
+
+LocalInverse = DenseInverse | SparseInverse
+"""S_s^-1 of one subdomain."""
 
 
 class DualPreconditioner:
@@ -236,17 +233,15 @@ def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
     return kind == "dense"
 
 
-def build_schur_pair(system: LocalSystem, local: LocalDual,
-                     kind: LocalInverseKind) -> tuple[SchurProduct, LocalInverse]:
+def build_schur_pair(local: LocalDual, kind: LocalInverseKind) -> tuple[SchurProduct, LocalInverse]:
     """Build products with S_s, and its inverse, by arrays or by sparse factors; "auto" asks its size.
 
-    The inverse is the caller's to destroy; the motion of the subdomain's camera is held in ``system``. Raises
-    SingularSubdomainError where S_s is singular.
+    The inverse is the caller's to destroy. Raises SingularSubdomainError where S_s is singular.
     """
     if is_dense(len(local.compliance), kind):
         schur = assemble_schur(local)
         return schur.__matmul__, DenseInverse(invert_by_blocks(schur, local.n_jumps))
-    return local.multiply_schur, SparseInverse(system.operator, local)
+    return local.multiply_schur, SparseInverse(local)
 
 
 class TwoLevelPreconditioner:
@@ -280,6 +275,79 @@ class TwoLevelPreconditioner:
             self._coarse.correct(left, y)
 
 
+class MotionPreconditioner:
+    """Context of PETSc's shell preconditioner for [[S, B], [B^T, -D]] (Lambda, alpha), from P for S alone.
+
+    alpha = (B^T P B + D)^-1 (B^T P r - r_alpha), Lambda = P (r - B alpha): exact where P = S^-1. The rows of alpha are
+    the last ones, all on one rank; P takes and gives zeros there.
+
+    Parameters
+    ----------
+    operator : DualSchurOperator
+        Is applied to alpha's columns here, by all ranks together.
+    inner : Preconditioning
+        P, likewise.
+    n_motion : int
+        Number of unknowns alpha of all set-ups.
+    """
+
+    def __init__(self, operator: DualSchurOperator, inner: Preconditioning, n_motion: int) -> None:
+        self._team = operator.exchange.team
+        self._inner = inner
+        self._n = n_motion
+        columns, products, block = [], [], []
+        with PetscStack() as stack:
+            unit, column, solved, self._right = (stack.keep(operator.exchange.create_vector()) for _ in range(4))
+            self._here = _find_last_rows(unit, n_motion)
+            for alpha in np.eye(n_motion):
+                unit.set(0.0)
+                self._put(unit, alpha)
+                operator.mult(None, unit, column)
+                block.append(-self._take(column))
+                self._put(column, np.zeros(n_motion))
+                inner.apply(None, column, solved)
+                columns.append(np.array(column.getArray()))
+                products.append(np.array(solved.getArray()))
+            self._columns = np.stack(columns, axis=1)
+            self._products = np.stack(products, axis=1)
+            self._small = self._team.sum(self._columns.T @ self._products) + np.stack(block, axis=1)
+            self._objects = stack.pop_all()
+
+    def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply the preconditioner to x = (r, r_alpha), which gives y = (Lambda, alpha): PETSc's callback."""
+        given = self._take(x)
+        x.copy(self._right)
+        self._put(self._right, np.zeros(self._n))
+        self._inner.apply(pc, self._right, y)
+        projected = self._team.sum(self._columns.T @ y.getArray(readonly=1))
+        alpha = np.linalg.solve(self._small, projected - given)
+        y.setArray(y.getArray(readonly=1) - self._products @ alpha)
+        self._put(y, alpha)
+
+    def destroy(self, _: PETSc.PC | None = None) -> None:
+        """Free PETSc's objects; PETSc calls it too, when the preconditioner goes whose context this is."""
+        self._objects.close()
+
+    def _take(self, vector: PETSc.Vec) -> Array:
+        """Alpha's rows of a vector, on all ranks; collective."""
+        mine = np.zeros(self._n)
+        if self._here is not None:
+            mine[:] = vector.getArray(readonly=1)[self._here]
+        return self._team.sum(mine)
+
+    def _put(self, vector: PETSc.Vec, values: Array) -> None:
+        """Overwrite alpha's rows of a vector."""
+        if self._here is not None:
+            vector.getArray()[self._here] = values
+
+
+def _find_last_rows(vector: PETSc.Vec, n: int) -> slice | None:
+    """Where this rank holds the last n rows of a vector; None where another rank does."""
+    first, end = vector.getOwnershipRange()
+    begin = vector.getSize() - n
+    return slice(begin - first, end - first) if end > begin else None
+
+
 Preconditioner = Literal["none", "paper", "scaled", "two_level"]
 
 OF_COLUMNS = 0.3
@@ -287,8 +355,8 @@ OF_COLUMNS = 0.3
 
 
 def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Preconditioner,
-                         local_inverse: LocalInverseKind,
-                         clock: PhaseClock | None = None) -> tuple[Preconditioning | None, CoarseSpace | None]:
+                         local_inverse: LocalInverseKind, clock: PhaseClock | None = None,
+                         ) -> tuple[Preconditioning | None, CoarseSpace | None]:
     """Build the preconditioner that is asked for, and the coarse space of one of two levels; collective.
 
     Rows of cameras' motions are eliminated; ``stack`` keeps what must be destroyed. Raises SingularSubdomainError on
@@ -297,18 +365,27 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
     if kind == "none":
         return None, None
     clock = clock or PhaseClock()
-    is_paper = kind == "paper"
-    assemblies = [local.incidence for local in problem.local_duals] if is_paper else _scale_assemblies(problem)
+    locals_ = problem.local_duals
+    assemblies = [local.incidence for local in locals_] if kind == "paper" else _scale_assemblies(problem)
     # Before the inverses: what finds the modes is large, and gone when these are made.
     columns = _find_columns(problem, clock) if kind == "two_level" else []
-    pairs = _build_pairs(stack, problem, local_inverse, clock)
+
+    def build_pairs() -> list[tuple[SchurProduct, LocalInverse]]:
+        pairs = []
+        for local in clock.note_each(locals_):
+            multiply_schur, inverse = build_schur_pair(local, local_inverse)
+            # One by one: where a later one is singular, those before are freed. The inverse alone, for S_s may go.
+            pairs.append((multiply_schur, stack.keep(inverse)))
+        return pairs
+
+    pairs = problem.team.together(build_pairs)
     one_level = DualPreconditioner(problem.exchange, assemblies, [inverse for _, inverse in pairs])
     context: Preconditioning = one_level
     coarse = None
     if kind == "two_level":
         parts = [CoarsePart(local, assembly, multiply_schur, columns_s)
                  for local, assembly, (multiply_schur, _), columns_s
-                 in zip(problem.local_duals, assemblies, pairs, columns, strict=True)]
+                 in zip(locals_, assemblies, pairs, columns, strict=True)]
         coarse = stack.keep(CoarseSpace(problem.team, problem.exchange, parts))
         context = TwoLevelPreconditioner(problem.operator, one_level, coarse)
     if problem.n_motion:
@@ -318,37 +395,17 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
 
 def _find_columns(problem: DualProblem, clock: PhaseClock) -> list[CoarseColumns]:
     """Coarse vectors of each owned subdomain."""
-    both = list(zip(problem.systems, problem.local_duals, strict=True))
-
-    def find() -> list[CoarseColumns]:
-        return [build_coarse_columns(find_low_energy_modes(system, local.operator), local)
-                for system, local in clock.note_each(both, end=OF_COLUMNS)]
-
-    return problem.team.together(find)
-
-
-def _build_pairs(stack: PetscStack, problem: DualProblem, local_inverse: LocalInverseKind,
-                 clock: PhaseClock) -> list[tuple[SchurProduct, LocalInverse]]:
-    """Products with S_s, and its inverse, of each owned subdomain."""
-    both = list(zip(problem.systems, problem.local_duals, strict=True))
-
-    def build() -> list[tuple[SchurProduct, LocalInverse]]:
-        pairs = []
-        for system, local in clock.note_each(both):
-            multiply_schur, inverse = build_schur_pair(system, local, local_inverse)
-            # One by one: where a later one is singular, those before are freed. The inverse alone, for S_s may go.
-            pairs.append((multiply_schur, stack.keep(inverse)))
-        return pairs
-
-    return problem.team.together(build)
+    return problem.team.together(lambda: [
+        build_coarse_columns(find_low_energy_modes(local.system, local.operator), local)
+        for local in clock.note_each(problem.local_duals, end=OF_COLUMNS)])
 
 
 def _scale_assemblies(problem: DualProblem) -> list[sparse.csc_matrix]:
     """(B D^-1 B^T)^-1 B D^-1 per subdomain, D the copies' stiffness diag A_s (1 for reactions)."""
     chains = []
-    for system in problem.systems:
-        jumps, reactions = system.subdomain.jumps, system.subdomain.reactions
-        stiffness = system.diagonal[jumps.unknowns]
+    for local in problem.local_duals:
+        jumps, reactions = local.system.subdomain.jumps, local.system.subdomain.reactions
+        stiffness = local.system.diagonal[jumps.unknowns]
         chains.append([(jumps, stiffness), (reactions, np.ones(len(reactions.unknowns)))])
     copies, weights = fetch_copies(problem.team, problem.subdomains, [pair for both in chains for pair in both])
     rows = problem.exchange.ghosts
