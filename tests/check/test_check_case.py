@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from ddic.case.loader import load_case
 from ddic.check.case import check_case
-from ddic.check.report import CheckReport
+from ddic.check.mesh import CheckReport
 from ddic.cli.check import check
 from ddic.errors import InputError
 from ddic.inputs.mesh_source import build_meshes

@@ -43,9 +43,8 @@ from ddic.partition.split import add_motions, keep_cameras_apart, split_by_block
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
-from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians, read_reference_views, weigh_cameras
 from ddic.problem.region_mesh import Region
-from ddic.problem.views import read_reference_views, weigh_cameras
 from ddic.solvers.linear_step import LinearStep, StepResult
 from support.linear import StepProblem, linear_step
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle

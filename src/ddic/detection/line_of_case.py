@@ -20,7 +20,7 @@ from ddic.kinematics.tip_functions import find_tips
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import measure_distance
-from ddic.problem.cut_region import cut_by_lines, list_discontinuities, list_tip_functions
+from ddic.problem.region_mesh import cut_by_lines, list_discontinuities, list_tip_functions
 from ddic.start.coarse_displacement import CutField
 from ddic.start.given_start import extrapolate
 from ddic.start.independent import Images

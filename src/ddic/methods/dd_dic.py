@@ -13,8 +13,7 @@ from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
-from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import read_frame_windows
+from ddic.problem.residual_model import ResidualModel, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import Measurement, finish_measurement, last_field_kept
@@ -24,14 +23,15 @@ from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, KnownStart, find_start
 from ddic.visibility.exclusions import exclude, pull_held_cells
 from ddic.visibility.noise_forces import measure_force_noise
-from ddic.visibility.see_frame import SeenFrame, see_start
 from ddic.visibility.solved_frame import (
     SETTLED,
     Looks,
+    SeenFrame,
     SolvedFrame,
     accept_noise,
     begin_frame,
     see_solved_frame,
+    see_start,
     solve_further,
 )
 

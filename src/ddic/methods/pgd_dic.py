@@ -4,12 +4,11 @@ from typing import Self
 
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
-from ddic.check.report import CheckReport, describe_rectangle
+from ddic.check.mesh import CheckReport, describe_rectangle
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import build_rectangle, check_rectangle, choose_output_lines
 from ddic.inputs.start_points import StartPoints
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
@@ -17,7 +16,12 @@ from ddic.mesh.structured import Grid
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
-from ddic.problem.separated_problem import prepare_separated_problem
+from ddic.problem.separated_problem import (
+    build_rectangle,
+    check_rectangle,
+    choose_output_lines,
+    prepare_separated_problem,
+)
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import last_field_kept
 from ddic.results.separated import SeparatedMeasurement, finish_separated

@@ -1,7 +1,6 @@
 """The residual f - g(x + u) of all subdomains in one frame: what Gauss-Newton asks of the images.
 
-Also whether a frame turns or stretches the specimen so much that the gradient of its own image is needed, and the
-elastic matter that takes the place of cells that are not shown and that nothing else holds.
+Also whether a frame turns or stretches the specimen so much that the gradient of its own image is needed.
 """
 
 from __future__ import annotations
@@ -10,34 +9,28 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array
+from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.correlation import LARGE_SHARE, Residual, find_large_gradients
+from ddic.functionals.correlation import (
+    LARGE_SHARE,
+    Residual,
+    find_large_gradients,
+)
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums, measure_deviation
-from ddic.functionals.regularization import Material, integrate_cell_stiffness
-from ddic.functionals.view import FrameView
+from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur
-from ddic.kinematics.cell_interpolation import interpolate_cells
-from ddic.mesh.plane import build_rotation
+from ddic.images.sub_image import DeformedSubImage
+from ddic.images.threads import Threads
+from ddic.images.window import Window
+from ddic.inputs.cameras import Frame
 from ddic.parallel.field import ByView, Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.added_forces import FilledCells, HeldRotation
 from ddic.problem.held_cells import PulledView, keep_other_cells, sum_pulls
-from ddic.problem.region_rotation import HeldRotation, fit_rigid_motion
-from ddic.problem.views import read_frame_windows
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_correction, weigh_nodes
-
-STIFFNESS = 1e-4
-"""Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
-value moves these, a smaller one worsens the operators' condition."""
-
-HELD = 1e-8
-"""What the operator of filled cells has on its diagonal beyond their stiffness, relative to the mean diagonal of M: a
-subdomain that is hidden altogether may move as a rigid body, and its operator must not be singular. Forces have nothing
-of it, so that it costs iterations only; a larger value costs more of them, where hundreds of cells are hidden in a row.
-"""
 
 
 @dataclass(frozen=True)
@@ -212,81 +205,27 @@ def is_deformation_large(team: Team, views: ByView[FrameView], q: Sequence[Array
     return bool(n_large > LARGE_SHARE * n_pixels)
 
 
-@dataclass(frozen=True, eq=False)
-class FilledCells:
-    """Elastic energy of the cells that a frame does not show, less that of the region's rigid motion.
+def open_frame_views(case: Case, frame: Frame, views: ByView[View]) -> ByView[FrameView]:
+    """Look at a frame; its windows are read when unknowns say where.
 
-    Attributes
-    ----------
-    of_nodes : tuple of (n_dofs, n_dofs) csr_matrix
-        Stiffness of the filled cells of each owned subdomain on displacements of nodes, not turned, grey levels
-        squared per pixel squared.
-    stiffness : tuple of (n_unknowns, n_unknowns) csr_matrix
-        The same on unknowns, turned as far as the region had when the operators were assembled.
-    held : float
-        What their operators have on the diagonal beyond it, grey levels squared per pixel squared.
+    Views that share a window of the reference share one of the frame.
     """
-
-    of_nodes: tuple[sparse.csr_matrix, ...]
-    stiffness: tuple[sparse.csr_matrix, ...]
-    held: float
-
-    def assemble_operator(self, number: int) -> sparse.csr_matrix:
-        """Assemble what the operator of an owned subdomain is given, (n_unknowns, n_unknowns).
-
-        It is in grey levels squared per pixel squared, and positive on each unknown of filled cells; ``number`` counts
-        owned subdomains.
-        """
-        stiffness = self.stiffness[number]
-        is_filled = stiffness.diagonal() > 0
-        return (stiffness + sparse.diags(self.held * is_filled)).tocsr()
-
-    def compute_forces(self, q: Field) -> Field:
-        """Compute the forces that b is given, grey levels squared per pixel; collective."""
-        motion = fit_rigid_motion(q)
-
-        def compute(subdomain: Subdomain, q_s: Array, of_nodes: sparse.csr_matrix) -> Array:
-            forces = np.zeros(subdomain.n_unknowns)
-            if of_nodes.nnz:
-                nodes = subdomain.mesh.nodes
-                field = subdomain.kinematics.displacement(q_s[:subdomain.n_field]).reshape(nodes.shape)
-                rest = (field - motion.evaluate(nodes)) @ motion.rotation
-                # Turned as the region is now: else the field would depend on where its operators were assembled.
-                pull = -(of_nodes @ rest.ravel()).reshape(nodes.shape) @ motion.rotation.T
-                forces[:subdomain.n_field] = subdomain.kinematics.project_vector(pull.ravel())
-            return forces
-
-        return q.map(compute, self.of_nodes)
+    threads = Threads(case.solver.threads)
+    windows: dict[tuple[int, int], DeformedSubImage] = {}
+    for view in views.flat:
+        windows.setdefault((view.camera, view.group),
+                           DeformedSubImage(frame[view.camera], case.correlation.spline_degree, threads))
+    return views.map(lambda view: view.open_frame(windows[view.camera, view.group]))
 
 
-def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[BoolArray], weight: float, angle: float) -> FilledCells:
-    """Give cells without pixels an elastic energy; free of communication.
-
-    ``cells``, (n_cells,), say which ones of each owned subdomain; ``weight`` is the mean diagonal of M, grey levels
-    squared per pixel squared, ``angle`` that by which the region has turned, radians.
-    """
-    of_nodes = tuple(_assemble(subdomain, chosen, STIFFNESS * weight)
-                     for subdomain, chosen in zip(subdomains, cells, strict=True))
-    stiffness = tuple(_turn(subdomain, matrix, angle) for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
-    return FilledCells(of_nodes, stiffness, HELD * weight)
-
-
-def _assemble(subdomain: Subdomain, chosen: BoolArray, modulus: float) -> sparse.csr_matrix:
-    """On displacements of nodes, (n_dofs, n_dofs)."""
-    n_dofs = subdomain.mesh.n_dofs
-    if not chosen.any():
-        return sparse.csr_matrix((n_dofs, n_dofs))
-    of_cells = integrate_cell_stiffness(subdomain.mesh, Material())
-    of_cells[~chosen] = 0.0
-    stiffness: sparse.csr_matrix = interpolate_cells(subdomain.mesh).assemble_matrix(modulus * of_cells)
-    return stiffness
-
-
-def _turn(subdomain: Subdomain, of_nodes: sparse.csr_matrix, angle: float) -> sparse.csr_matrix:
-    """The same on unknowns, R K R^T, (n_unknowns, n_unknowns)."""
-    n_motion = subdomain.n_motion
-    if not of_nodes.nnz:
-        return sparse.csr_matrix((subdomain.n_unknowns, subdomain.n_unknowns))
-    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), build_rotation(angle)).tocsr()
-    of_field = subdomain.kinematics.project_matrix((turn @ of_nodes @ turn.T).tocsr())
-    return sparse.block_diag([of_field, sparse.csr_matrix((n_motion, n_motion))]).tocsr() if n_motion else of_field
+def read_frame_windows(views: ByView[FrameView], q: Sequence[Array]) -> None:
+    """Read the windows of a frame that unknowns ask for, and no larger ones; free of communication."""
+    wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
+    for view, q_s in zip(views.flat, views.fill(q).flat, strict=True):
+        window = view.find_displaced_window(q_s)
+        known = wanted.get(id(view.deformed))
+        # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
+        union = window if known is None else window.union(known[1])
+        wanted[id(view.deformed)] = (view.deformed, union)
+    for deformed, window in wanted.values():
+        deformed.hold(window)

@@ -18,11 +18,7 @@ from ddic.mesh.plane import build_rotation
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.assembly import assemble
-from ddic.problem.linear_solver import LinearSolver
-from ddic.problem.reference_problem import ReferenceProblem
-from ddic.problem.region_mesh import build_material, compute_cut_off_wavelength
-from ddic.problem.region_rotation import (
+from ddic.problem.added_forces import (
     KEPT_STEPS,
     LEAST_ANGLE,
     STEP_ANGLE,
@@ -30,9 +26,18 @@ from ddic.problem.region_rotation import (
     fit_rigid_motion,
     measure_turn,
 )
-from ddic.problem.renewal import AssembledFrom, describe_lost_pixels, find_free_unknowns, find_held, find_renewal
-from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import open_frame_views, weigh_cameras
+from ddic.problem.assembly import (
+    AssembledFrom,
+    assemble,
+    describe_lost_pixels,
+    find_free_unknowns,
+    find_held,
+    find_renewal,
+)
+from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.reference_problem import ReferenceProblem, weigh_cameras
+from ddic.problem.region_mesh import build_material, compute_cut_off_wavelength
+from ddic.problem.residual_model import ResidualModel, open_frame_views
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.local_operator import describe_lost
 

@@ -19,8 +19,8 @@ from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.views import hold_set_ups_still, read_frame_windows
+from ddic.problem.reference_problem import hold_set_ups_still
+from ddic.problem.residual_model import Evaluation, ResidualModel, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.start.coarse_field import CoarseSearch, fit_found_fields
 from ddic.start.given_start import EarlierResult, GivenStart

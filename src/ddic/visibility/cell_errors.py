@@ -18,7 +18,7 @@ from ddic.functionals.view import View
 from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.renewal import find_displaced_nodes, find_free_unknowns, find_held
+from ddic.problem.assembly import find_displaced_nodes, find_free_unknowns, find_held
 from ddic.problem.residual_model import Evaluation
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions

@@ -18,7 +18,7 @@ from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.renewal import find_displaced_nodes
+from ddic.problem.assembly import find_displaced_nodes
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_node_corrections
 from ddic.solvers.gauss_newton import Correction

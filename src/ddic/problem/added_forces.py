@@ -1,6 +1,7 @@
-"""The rotation of a region, which costs no energy whatever its angle: linear elasticity knows that of small ones only.
+"""What b is given beside grey levels, so that a rotation of the region and cells that nothing holds cost nothing.
 
-The equilibrium gap is that of q - q_R, with the rigid motion q_R nearest to q, and of forces R K R^T.
+Linear elasticity knows the rotation of small angles only: the equilibrium gap is that of q - q_R, with the rigid motion
+q_R nearest to q, and of forces R K R^T. Cells that are not shown and that nothing else holds are elastic matter.
 """
 
 from collections.abc import Sequence
@@ -8,8 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
-from ddic.arrays import Array
+from ddic.arrays import Array, BoolArray
+from ddic.functionals.regularization import Material, integrate_cell_stiffness
+from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.plane import build_rotation
 from ddic.mesh.quality import measure_areas
@@ -31,6 +35,16 @@ of strains less exact, by its half; a smaller one factorises more often."""
 KEPT_STEPS = 0.6
 """Steps by which the region may turn on before the stiffness is turned along: more than half of one, so that noise does
 not turn it to and fro."""
+
+STIFFNESS = 1e-4
+"""Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
+value moves these, a smaller one worsens the operators' condition."""
+
+HELD = 1e-8
+"""What the operator of filled cells has on its diagonal beyond their stiffness, relative to the mean diagonal of M: a
+subdomain that is hidden altogether may move as a rigid body, and its operator must not be singular. Forces have nothing
+of it, so that it costs iterations only; a larger value costs more of them, where hundreds of cells are hidden in a row.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,3 +158,83 @@ def _add_up(team: Team, subdomains: Sequence[Subdomain], values: Sequence[Array]
             here[place] += of_subdomain
         total = np.stack([exchange.sum_over_ranks(np.ascontiguousarray(column)) for column in here.T], axis=1)
         return [total[place] for place in places]
+
+
+@dataclass(frozen=True, eq=False)
+class FilledCells:
+    """Elastic energy of the cells that a frame does not show, less that of the region's rigid motion.
+
+    Attributes
+    ----------
+    of_nodes : tuple of (n_dofs, n_dofs) csr_matrix
+        Stiffness of the filled cells of each owned subdomain on displacements of nodes, not turned, grey levels
+        squared per pixel squared.
+    stiffness : tuple of (n_unknowns, n_unknowns) csr_matrix
+        The same on unknowns, turned as far as the region had when the operators were assembled.
+    held : float
+        What their operators have on the diagonal beyond it, grey levels squared per pixel squared.
+    """
+
+    of_nodes: tuple[sparse.csr_matrix, ...]
+    stiffness: tuple[sparse.csr_matrix, ...]
+    held: float
+
+    def assemble_operator(self, number: int) -> sparse.csr_matrix:
+        """Assemble what the operator of an owned subdomain is given, (n_unknowns, n_unknowns).
+
+        It is in grey levels squared per pixel squared, and positive on each unknown of filled cells; ``number`` counts
+        owned subdomains.
+        """
+        stiffness = self.stiffness[number]
+        is_filled = stiffness.diagonal() > 0
+        return (stiffness + sparse.diags(self.held * is_filled)).tocsr()
+
+    def compute_forces(self, q: Field) -> Field:
+        """Compute the forces that b is given, grey levels squared per pixel; collective."""
+        motion = fit_rigid_motion(q)
+
+        def compute(subdomain: Subdomain, q_s: Array, of_nodes: sparse.csr_matrix) -> Array:
+            forces = np.zeros(subdomain.n_unknowns)
+            if of_nodes.nnz:
+                nodes = subdomain.mesh.nodes
+                field = subdomain.kinematics.displacement(q_s[:subdomain.n_field]).reshape(nodes.shape)
+                rest = (field - motion.evaluate(nodes)) @ motion.rotation
+                # Turned as the region is now: else the field would depend on where its operators were assembled.
+                pull = -(of_nodes @ rest.ravel()).reshape(nodes.shape) @ motion.rotation.T
+                forces[:subdomain.n_field] = subdomain.kinematics.project_vector(pull.ravel())
+            return forces
+
+        return q.map(compute, self.of_nodes)
+
+
+def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[BoolArray], weight: float, angle: float) -> FilledCells:
+    """Give cells without pixels an elastic energy; free of communication.
+
+    ``cells``, (n_cells,), say which ones of each owned subdomain; ``weight`` is the mean diagonal of M, grey levels
+    squared per pixel squared, ``angle`` that by which the region has turned, radians.
+    """
+    of_nodes = tuple(_assemble(subdomain, chosen, STIFFNESS * weight)
+                     for subdomain, chosen in zip(subdomains, cells, strict=True))
+    stiffness = tuple(_turn(subdomain, matrix, angle) for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
+    return FilledCells(of_nodes, stiffness, HELD * weight)
+
+
+def _assemble(subdomain: Subdomain, chosen: BoolArray, modulus: float) -> sparse.csr_matrix:
+    """On displacements of nodes, (n_dofs, n_dofs)."""
+    n_dofs = subdomain.mesh.n_dofs
+    if not chosen.any():
+        return sparse.csr_matrix((n_dofs, n_dofs))
+    of_cells = integrate_cell_stiffness(subdomain.mesh, Material())
+    of_cells[~chosen] = 0.0
+    stiffness: sparse.csr_matrix = interpolate_cells(subdomain.mesh).assemble_matrix(modulus * of_cells)
+    return stiffness
+
+
+def _turn(subdomain: Subdomain, of_nodes: sparse.csr_matrix, angle: float) -> sparse.csr_matrix:
+    """The same on unknowns, R K R^T, (n_unknowns, n_unknowns)."""
+    n_motion = subdomain.n_motion
+    if not of_nodes.nnz:
+        return sparse.csr_matrix((subdomain.n_unknowns, subdomain.n_unknowns))
+    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), build_rotation(angle)).tocsr()
+    of_field = subdomain.kinematics.project_matrix((turn @ of_nodes @ turn.T).tocsr())
+    return sparse.block_diag([of_field, sparse.csr_matrix((n_motion, n_motion))]).tocsr() if n_motion else of_field
