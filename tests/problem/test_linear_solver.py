@@ -22,6 +22,7 @@ from ddic.solvers.assembled import AssembledStep
 from ddic.solvers.conjugate_gradient import ConjugateGradientStep
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.petsc import PetscStack
 from support.cases import write_case, write_images
 from support.petsc_objects import count_live_objects
 from support.prepared import assemble_alike, prepare
@@ -74,7 +75,8 @@ def test_the_step_is_that_of_the_case(shared_path: Path, method: str, kind: type
     team = Team.world()
     problem, assembly = _prepare(team, shared_path, f'method = "{method}"')
     clock = PhaseClock()
-    with LinearSolver(team, problem.inputs.case, assembly, clock) as solver:
+    with PetscStack() as stack:
+        solver = stack.keep(LinearSolver(team, problem.inputs.case, assembly, clock))
         assert not solver.is_set_up
         solver.set_up()
         assert isinstance(solver.step, kind)

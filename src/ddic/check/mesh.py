@@ -26,9 +26,8 @@ from ddic.mesh.repair import check_pixels
 from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.partition.split import split_by_blocks
 from ddic.partition.ties import Tying
-from ddic.problem.region_mesh import check_lines, describe_cut, list_discontinuities
+from ddic.problem.region_mesh import check_lines, describe_cut, describe_cut_off, list_discontinuities
 from ddic.problem.separated_problem import Rectangle, choose_controlled_lines
-from ddic.problem.weighted_problem import describe_cut_off
 from ddic.separated.band_sums import N_BANDS
 from ddic.solvers.petsc import require_packages
 

@@ -20,10 +20,9 @@ from ddic.mesh.quality import measure_areas
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.solvers.exchange import Exchange
 from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc import PetscStack
-from ddic.solvers.whole_system import EquilibriumRows
+from ddic.solvers.whole_system import EquilibriumRows, WholeSystem
 
 LEAST_ANGLE = 0.005
 """Angle, radians, up to which a rotation is left to linear elasticity, which takes it for a strain of 1e-5."""
@@ -79,6 +78,13 @@ def measure_turn(other: float, one: float) -> float:
     return float((one - other + np.pi) % (2 * np.pi) - np.pi)
 
 
+def round_angle(angle: float, before: float) -> float:
+    """Round the angle of a region to that by which its stiffness is turned, ``before`` where that is near, radians."""
+    # Not at every step's edge: two solutions might take turns.
+    is_near = abs(measure_turn(before, angle)) <= KEPT_STEPS * STEP_ANGLE
+    return before if is_near else round(angle / STEP_ANGLE) * STEP_ANGLE
+
+
 def fit_rigid_motion(q: Field) -> RigidMotion:
     """Fit a rigid motion to the displacement of all nodes, each weighted by the area about it; collective."""
     sums = q.team.ordered_sum(q.map(_sum_moments))
@@ -129,9 +135,13 @@ class HeldRotation:
         centre = fit_rigid_motion(Field.zero(self.team, subdomains)).centre
         kbars = [EquilibriumRows.of(system).assemble() for system in self.systems]
         gaps = [kbar @ _fit_fields(s, centre) for s, kbar in zip(subdomains, kbars, strict=True)]
-        complete = _add_up(self.team, subdomains, gaps)
-        return [np.asarray(system.eta * (kbar.T @ gap))
-                for system, kbar, gap in zip(self.systems, kbars, complete, strict=True)]
+        with PetscStack() as stack:
+            whole = stack.keep(WholeSystem(self.team, self.systems))
+            # Of each field, rows of interfaces complete.
+            complete = [whole.restrict(whole.sum_over_subdomains(of_field))
+                        for of_field in zip(*(gap.T for gap in gaps), strict=True)]
+        return [np.asarray(system.eta * (kbar.T @ np.column_stack(of_fields)))
+                for system, kbar, *of_fields in zip(self.systems, kbars, *complete, strict=True)]
 
 
 def _fit_fields(subdomain: Subdomain, centre: Array) -> Array:
@@ -143,21 +153,6 @@ def _fit_fields(subdomain: Subdomain, centre: Array) -> Array:
     for k, field in enumerate(fields):
         unknowns[:subdomain.n_field, k] = subdomain.kinematics.fit(field.ravel())
     return unknowns
-
-
-def _add_up(team: Team, subdomains: Sequence[Subdomain], values: Sequence[Array]) -> list[Array]:
-    """Sums over all subdomains of values on their unknowns, (n_unknowns, k)."""
-    numbers = [subdomain.numbers for subdomain in subdomains]
-    n_unknowns = team.sum(sum(int(subdomain.owned.sum()) for subdomain in subdomains))
-    n_share = len(range(team.rank, n_unknowns, team.size))
-    with PetscStack() as stack:
-        exchange = stack.keep(Exchange(team, n_share, numbers))
-        places = [np.searchsorted(exchange.ghosts, n) for n in numbers]
-        here = np.zeros((len(exchange.ghosts), values[0].shape[1]))
-        for place, of_subdomain in zip(places, values, strict=True):
-            here[place] += of_subdomain
-        total = np.stack([exchange.sum_over_ranks(np.ascontiguousarray(column)) for column in here.T], axis=1)
-        return [total[place] for place in places]
 
 
 @dataclass(frozen=True, eq=False)

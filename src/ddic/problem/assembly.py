@@ -249,15 +249,14 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
     before, of_all_pixels = assembled
     team, subdomains, views, is_regularized = model.team, model.subdomains, model.views, wavelength > 0
 
-    def show(view: FrameView, q_s: Array) -> FrameView:
-        shown = view.without_hidden(q_s)
-        return shown.with_moved_gradient(q_s) if model.follows else shown
-
-    shown = team.together(lambda: views.map(show, views.fill(q)))
+    shown = team.together(lambda: views.map(model.show, views.fill(q)))
     n_pixels = shown.map(View.count_pixels)
     in_reference = views.map(lambda view: view.prepared.count_pixels())
-    unseen = [_find_unseen(*of_subdomain, is_regularized=is_regularized)
-              for of_subdomain in zip(subdomains, in_reference, n_pixels, strict=True)]
+    unseen = [~find_held(subdomain, now) for subdomain, now in zip(subdomains, n_pixels, strict=True)]
+    if is_regularized:
+        # What the reference images do not show either is held as the factor of the reference found.
+        unseen = [is_unseen & find_held(subdomain, then)
+                  for is_unseen, subdomain, then in zip(unseen, subdomains, in_reference, strict=True)]
     free = find_free_unknowns(team, subdomains, unseen)
     filled, angle = None, 0.0
     cells = [np.zeros(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains]
@@ -271,15 +270,14 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
     now = AssembledFrom(n_pixels, shown.map(lambda view: view.correlation.inverse_deformations), cells, is_free,
                         angle if is_turned else before.angle, model.blurs)
 
-    lost = [not _are_pixels_kept(subdomain, then, of_views, bound_changes(int(np.sum(of_all)), wavelength))
-            for subdomain, then, of_views, of_all
-            in zip(subdomains, before.n_pixels, n_pixels, in_reference, strict=True)]
-    turned = [not _are_gradients_kept(*of_subdomain)
-              for of_subdomain in zip(before.inverse_deformations, now.inverse_deformations, strict=True)]
-    refilled = [bool((a != b).any() or (b.any() and is_turned)) for a, b in zip(before.filled, cells, strict=True)]
-    freed = [bool(((a != b) & ~subdomain.controlled).any())
-             for a, b, subdomain in zip(before.free, is_free, subdomains, strict=True)]
-    left = [any(reasons) for reasons in zip(refilled, freed, strict=True)]
+    lost, turned, left = [], [], []
+    for place, subdomain in enumerate(subdomains):
+        most = bound_changes(int(np.sum(in_reference[place])), wavelength)
+        lost.append(not _are_pixels_kept(subdomain, before.n_pixels[place], n_pixels[place], most))
+        turned.append(not _are_gradients_kept(before.inverse_deformations[place], now.inverse_deformations[place]))
+        is_refilled = (before.filled[place] != cells[place]).any() or (is_turned and cells[place].any())
+        is_freed = ((before.free[place] != is_free[place]) & ~subdomain.controlled).any()
+        left.append(bool(is_refilled or is_freed))
     is_other_image = model.blurs != before.blurs
     renewed = [is_other_image or any(reasons) for reasons in zip(lost, turned, left, strict=True)]
 
@@ -342,17 +340,6 @@ def _are_gradients_kept(before: Sequence[Array | None], now: Sequence[Array | No
     """Whether no cell of a subdomain has turned or stretched by much since its M was assembled."""
     changes = [measure_deformation(then, inverse) for then, inverse in zip(before, now, strict=True)]
     return max(changes, default=0.0) <= LARGE
-
-
-def _find_unseen(subdomain: Subdomain, in_reference: Sequence[IntArray], now: Sequence[IntArray], *,
-                 is_regularized: bool) -> BoolArray:
-    """Which unknowns have pixels in the reference images and none in the frame, (n_field,); without mechanics, none."""
-    if not is_regularized:
-        return ~find_held(subdomain, now)
-    if all(np.array_equal(a, b) for a, b in zip(in_reference, now, strict=True)):
-        return np.zeros(subdomain.n_field, dtype=bool)
-    # What the reference images do not show either is held as the factor of the reference found.
-    return find_held(subdomain, in_reference) & ~find_held(subdomain, now)
 
 
 def _are_pixels_kept(subdomain: Subdomain, before: Sequence[IntArray], now: Sequence[IntArray], most: float) -> bool:
@@ -448,6 +435,12 @@ def find_displaced_nodes(subdomain: Subdomain, unknowns: BoolArray) -> BoolArray
     """Find the nodes, (n_nodes,), that some unknowns of the field, (n_field,), displace."""
     is_displaced = abs(subdomain.kinematics.tangent) @ unknowns.astype(float) > 0
     return np.asarray(is_displaced.reshape(subdomain.mesh.nodes.shape).any(axis=1))
+
+
+def find_unheld_unknowns(team: Team, subdomains: Sequence[Subdomain], n_pixels: ByView[IntArray]) -> IntArray:
+    """Find the same where cells of each view have so many pixels that count, (n_cells,); collective."""
+    unseen = [~find_held(subdomain, counts) for subdomain, counts in zip(subdomains, n_pixels, strict=True)]
+    return find_free_unknowns(team, subdomains, unseen)
 
 
 def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[BoolArray]) -> IntArray:

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -32,7 +30,7 @@ larger value keeps one level for longer."""
 
 
 class LinearSolver:
-    """The linear step of a case, factorised by ``set_up``; use it in a ``with`` statement, which frees PETSc's objects.
+    """The linear step of a case, factorised by ``set_up``; ``destroy`` frees PETSc's objects.
 
     Parameters
     ----------
@@ -66,15 +64,9 @@ class LinearSolver:
         self._most_iterations = most_iterations
         self._notes: list[str] = []
         self._team, self._case, self._clock = team, case, clock
-        self._operators: list[LocalOperator] = []
+        # By the place of their subdomain among this rank's.
+        self._operators: dict[int, LocalOperator] = {}
         self._step: LinearStep | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.destroy()
 
     @property
     def step(self) -> LinearStep:
@@ -114,7 +106,13 @@ class LinearSolver:
         # The interface operators refer to the factors: they go first.
         self._free_step()
         try:
-            self._set_up(changed)
+            if self.method in LOCAL_FACTORS:
+                with self._clock.phase(Phase.FACTORIZE):
+                    self._factorize(changed)
+            else:
+                self.n_factorized += sum(changed)
+            with self._clock.phase(Phase.INTERFACE_SET_UP if self.method == "dual" else Phase.FACTORIZE):
+                self._step = self._make_step()
         except BaseException:
             # What was held before is held again at the next call, which then factorises all of it.
             self.destroy()
@@ -124,23 +122,14 @@ class LinearSolver:
     def destroy(self) -> None:
         """Free PETSc's objects."""
         self._free_step()
-        for operator in self._operators:
+        for operator in self._operators.values():
             operator.destroy()
-        self._operators = []
+        self._operators.clear()
 
     def _free_step(self) -> None:
         if self._step is not None:
             self._step.destroy()
         self._step = None
-
-    def _set_up(self, changed: Sequence[bool]) -> None:
-        if self.method in LOCAL_FACTORS:
-            with self._clock.phase(Phase.FACTORIZE):
-                self._factorize(changed)
-        else:
-            self.n_factorized += sum(changed)
-        with self._clock.phase(Phase.INTERFACE_SET_UP if self.method == "dual" else Phase.FACTORIZE):
-            self._step = self._make_step()
 
     def _make_step(self) -> LinearStep:
         """The step of Gauss-Newton; the local factors are there where it wants them."""
@@ -160,7 +149,8 @@ class LinearSolver:
         self.preconditioner = choose_preconditioner(self._team, self._case, [system.subdomain for system in systems])
         settings = DualSettings(self.preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
                                 solver.local_inverse)
-        return DualStep(self._team, systems, self._operators, self.assembly.reaction_scale, settings, self._clock)
+        operators = [self._operators[place] for place in range(len(systems))]
+        return DualStep(self._team, systems, operators, self.assembly.reaction_scale, settings, self._clock)
 
     def _factorize_instead(self, _: ConvergenceError) -> LinearStep:
         """The step that takes conjugate gradients' place where they take longer than predicted; collective."""
@@ -172,32 +162,19 @@ class LinearSolver:
 
     def _factorize(self, changed: Sequence[bool]) -> None:
         """Factorise A_s where it changed; old factors are freed before new ones need their memory."""
-        old: list[LocalOperator | None] = list(self._operators) or [None] * len(changed)
         for place, is_new in enumerate(changed):
-            operator = old[place]
-            if is_new and operator is not None:
-                operator.destroy()
-                old[place] = None
-        # In step with the systems as far as it goes, so that an error on any rank leaves nothing behind.
-        self._operators = [operator for operator in old if operator is not None]
+            if is_new and place in self._operators:
+                self._operators.pop(place).destroy()
 
-        def factorize() -> list[LocalOperator]:
-            operators = []
-            for system, kept in self._clock.note_each(list(zip(self.assembly.systems, old, strict=True))):
-                if kept is not None:
-                    operators.append(kept)
-                    continue
-                factored = self._factor(system)
-                self._operators.append(factored)
-                operators.append(factored)
-            return operators
+        def factorize() -> None:
+            for place, system in self._clock.note_each(list(enumerate(self.assembly.systems))):
+                if place not in self._operators:
+                    self.n_factorized += 1
+                    self._operators[place] = LocalOperator(
+                        system.without_motion.operator, smallest_eigenvalue=self.assembly.smallest_eigenvalue,
+                        where=_describe(system.subdomain))
 
-        self._operators = self._team.together(factorize)
-
-    def _factor(self, system: LocalSystem) -> LocalOperator:
-        self.n_factorized += 1
-        return LocalOperator(system.without_motion.operator, smallest_eigenvalue=self.assembly.smallest_eigenvalue,
-                             where=_describe(system.subdomain))
+        self._team.together(factorize)
 
 
 def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain]) -> Preconditioner:

@@ -16,7 +16,7 @@ from scipy import sparse
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
 from ddic.errors import InputError, list_first
-from ddic.functionals.correlation import Correlation, read_correlations, restrict_to_cells
+from ddic.functionals.correlation import read_correlations, restrict_to_cells
 from ddic.functionals.texture import Texture, find_blank_subdomains, measure_texture
 from ddic.functionals.view import View
 from ddic.images.threads import Threads
@@ -24,7 +24,6 @@ from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs, UpdatedReference
 from ddic.kinematics.camera import place_before_camera
 from ddic.kinematics.kinematics import Kinematics
-from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.field import ByView
 from ddic.parallel.phases import Phase, PhaseClock
@@ -116,16 +115,6 @@ def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None
     return problem, found
 
 
-def _describe_discontinuities(team: Team, region_mesh: RegionMesh | None) -> tuple[str, ...]:
-    """How much of the mesh is cut, where it is; collective."""
-
-    def describe() -> tuple[str, ...]:
-        region = require_held(region_mesh).discontinuous
-        return () if region is None else (f"discontinuities: {region.describe()}",)
-
-    return team.on_root(describe)
-
-
 def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, parts: IntArray | None,
                        clock: PhaseClock, notes: tuple[str, ...] = ()) -> ReferenceProblem:
     case = inputs.case
@@ -136,8 +125,7 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         n_pixels = sum(team.gather_lists([view.n_pixels for view in views.flat]))
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, clock.note_each(views))
-    lines = _describe_discontinuities(team, region_mesh)
-    notes = (*inputs.notes, *notes, *lines, *note_crowded_cores(team, case.solver.threads),
+    notes = (*inputs.notes, *notes, *region.notes, *note_crowded_cores(team, case.solver.threads),
              *describe_missing_packages(case.solver.method))
     return ReferenceProblem(inputs, region, subdomains, views, hessians, n_pixels, notes)
 
@@ -306,17 +294,17 @@ def read_reference_views(case: Case, cameras: Sequence[Camera], subdomains: Sequ
     for camera in cameras:
         seen = [k for k, s in enumerate(subdomains) if _is_seen_by(camera, cameras, s)]
         kinematics = [_kinematics_before(camera, cameras, subdomains[k]) for k in seen]
-        groups = _read_groups(camera, [k.mesh for k in kinematics], case.correlation.spline_degree, threads)
-        for place, of_subdomain, (group, correlation) in zip(seen, kinematics, groups, strict=True):
-            views[place].append(View(correlation, of_subdomain, camera.number, group))
+        groups = read_correlations([k.mesh for k in kinematics], camera.reference, case.correlation.spline_degree,
+                                   threads)
+        numbered = [(number, correlation) for number, group in enumerate(groups) for correlation in group]
+        for place, of_subdomain, (number, correlation) in zip(seen, kinematics, numbered, strict=True):
+            views[place].append(View(correlation, of_subdomain, camera.number, number))
     return ByView(sorted(of_subdomain, key=lambda view: view.camera != s.camera)
                   for s, of_subdomain in zip(subdomains, views, strict=True))
 
 
 def _is_seen_by(camera: Camera, cameras: Sequence[Camera], subdomain: Subdomain) -> bool:
-    if subdomain.camera == camera.number:
-        return True
-    return camera.number == 0 and cameras[subdomain.camera].use_far
+    return subdomain.camera == camera.number or (camera.number == 0 and cameras[subdomain.camera].use_far)
 
 
 def _kinematics_before(camera: Camera, cameras: Sequence[Camera], subdomain: Subdomain) -> Kinematics:
@@ -327,15 +315,6 @@ def _kinematics_before(camera: Camera, cameras: Sequence[Camera], subdomain: Sub
     setup = camera.setup if camera.number == subdomain.camera else camera.setup.hold_still()
     numbers = None if subdomain.motion is None else subdomain.motion.numbers
     return place_before_camera(subdomain.kinematics, setup, numbers)
-
-
-def _read_groups(camera: Camera, meshes: Sequence[Mesh], degree: int,
-                 threads: Threads) -> list[tuple[int, Correlation]]:
-    """The correlation of each mesh, with the number of the window that it shares with others."""
-    if not meshes:
-        return []
-    groups = read_correlations(meshes, camera.reference, degree, threads)
-    return [(number, correlation) for number, group in enumerate(groups) for correlation in group]
 
 
 def project_hessians(views: ByView[V], hessians: Hessians) -> list[sparse.csr_matrix]:

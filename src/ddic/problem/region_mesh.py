@@ -10,7 +10,7 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.line_band import weigh_corners
-from ddic.functionals.regularization import PHASES, Material, measure_gap_energies
+from ddic.functionals.regularization import PHASES, HalfAmplitudes, Material, find_half_amplitudes, measure_gap_energies
 from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_measured_cells
 from ddic.inputs.inputs import Inputs
 from ddic.io.text_files import read_partition
@@ -226,6 +226,8 @@ class Region:
         Plane waves that say which eta belongs to which wavelength; None where nothing is regularized.
     mapping : Similarity
         From mesh units to pixels.
+    notes : tuple of str
+        What the user should know of it.
     """
 
     n_nodes: int
@@ -234,6 +236,7 @@ class Region:
     n_subdomains: int
     probe: ProbeWaves | None
     mapping: Similarity
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -284,9 +287,10 @@ class RegionMesh:
         return ProbeWaves(wavelength, measure_gap_energies(mesh, build_material(section), self.interior, wavelength))
 
     def describe(self, n_subdomains: int) -> Region:
-        """Say what every rank is to know: sizes, and |K v|^2 of plane waves."""
+        """Say what every rank is to know: sizes, |K v|^2 of plane waves, and how much is cut."""
+        notes = () if self.discontinuous is None else (f"discontinuities: {self.discontinuous.describe()}",)
         return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, self.probe,
-                      self.mesh.mapping)
+                      self.mesh.mapping, notes)
 
     def cut(self, parts: IntArray) -> tuple[list[Subdomain], Array]:
         """Cut the mesh into self-contained subdomains.
@@ -357,11 +361,14 @@ def split_region(region_mesh: RegionMesh, n_ranks: int) -> IntArray:
 
 def _split_whole(solver: SolverSection, mesh: Mesh, labels: IntArray, costs: Array, n_subdomains: int) -> IntArray:
     """Subdomain of each cell of a mesh without cut cells; as many as asked for where the case says no number."""
-    parts = _given_parts(solver, mesh)
-    if parts is not None:
-        return keep_cameras_apart(parts, labels) if labels.any() else parts
-    return split_by_camera(labels, costs, solver.subdomains or n_subdomains,
-                           lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n, costs[cells]))
+    if solver.blocks is not None:
+        parts = split_by_blocks(mesh, solver.blocks)
+    elif solver.partition_file is not None:
+        parts = read_partition(solver.partition_file, mesh.n_cells)
+    else:
+        return split_by_camera(labels, costs, solver.subdomains or n_subdomains,
+                               lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n, costs[cells]))
+    return keep_cameras_apart(parts, labels) if labels.any() else parts
 
 
 def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) -> IntArray:
@@ -438,10 +445,11 @@ def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh, boundar
     return controlled
 
 
-def _given_parts(solver: SolverSection, mesh: Mesh) -> IntArray | None:
-    """Subdomain of each cell where the case gives blocks or a file, (n_cells,); None where METIS is to find it."""
-    if solver.blocks is not None:
-        return split_by_blocks(mesh, solver.blocks)
-    if solver.partition_file is not None:
-        return read_partition(solver.partition_file, mesh.n_cells)
-    return None
+def describe_cut_off(section: RegularizationSection | None) -> HalfAmplitudes | None:
+    """Say what a cut-off wavelength means, pixels; None where none is given."""
+    if section is None or section.cut_off_wavelength is None:
+        return None
+    if section.operator == "tikhonov":
+        # 1 / (1 + (l_c / l)^2) of a wave of any direction is left.
+        return HalfAmplitudes(section.cut_off_wavelength, section.cut_off_wavelength)
+    return find_half_amplitudes(build_material(section), section.cut_off_wavelength)

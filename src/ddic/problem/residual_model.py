@@ -133,6 +133,11 @@ class ResidualModel:
 
         return q.with_parts(add_views(self.views.map(assemble, evaluation.residuals, self.views.fill(q))))
 
+    def show(self, view: FrameView, q_s: Array) -> FrameView:
+        """Give a view of the pixels that unknowns of its subdomain do not hide, with the gradient that b takes."""
+        shown = view.without_hidden(q_s)
+        return shown.with_moved_gradient(q_s) if self.follows else shown
+
     def find_correction(self, evaluation: Evaluation, camera: int, residual: Residual) -> tuple[Array, Array]:
         """Find gain, no unit, and offset, grey levels, of a view's cells: one number, or one per cell, (n_cells,)."""
         if self.correction == "element":

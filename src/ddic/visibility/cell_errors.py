@@ -18,7 +18,7 @@ from ddic.functionals.view import View
 from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import find_displaced_nodes, find_free_unknowns, find_held
+from ddic.problem.assembly import find_displaced_nodes, find_unheld_unknowns
 from ddic.problem.residual_model import Evaluation
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
@@ -170,10 +170,8 @@ def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> l
     subdomains = problem.reference.subdomains
     if problem.reference.inputs.case.regularization is not None:
         return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
-    unseen = []
-    for subdomain, of_views in zip(subdomains, evaluation.residuals, strict=True):
-        unseen.append(~find_held(subdomain, [residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views]))
-    free = find_free_unknowns(problem.team, subdomains, unseen)
+    n_pixels = evaluation.residuals.map(lambda residual: residual.cell_sums.n_pixels.astype(np.int64))
+    free = find_unheld_unknowns(problem.team, subdomains, n_pixels)
     return [find_displaced_nodes(subdomain, np.isin(subdomain.kinematics.numbers, free)) for subdomain in subdomains]
 
 
