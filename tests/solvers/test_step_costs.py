@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
+from ddic.solvers.step_costs import StepCandidate, StepCosts, StepTask, predict_costs
 
 TASK = StepTask(n_unknowns=320_000, n_cells=159_000, wavelength=8.0, n_ranks=2, n_steps=5)
 WAYS = {
-    "cg": Candidate("conjugate_gradient", 2),
-    "assembled": Candidate("assembled", 2),
-    "one": Candidate("dual", 100),
-    "two": Candidate("dual", 100, "two_level"),
+    "cg": StepCandidate("conjugate_gradient", 2),
+    "assembled": StepCandidate("assembled", 2),
+    "one": StepCandidate("dual", 100),
+    "two": StepCandidate("dual", 100, "two_level"),
 }
 
 

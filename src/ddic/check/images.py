@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.arrays import Array, BoolArray, IntArray
+from ddic.arrays import Array, BoolArray
 from ddic.case.named_files import list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError, Problems
@@ -16,15 +16,13 @@ from ddic.images.grey_levels import (
     check_finite,
     check_noise,
     check_varied,
-    find_saturation,
     list_spread_bands,
     measure_grey_levels,
     read_all,
 )
 from ddic.images.source import ImageSource
-from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
-from ddic.inputs.cameras import Camera, list_corners
+from ddic.inputs.cameras import Camera, exclude_masked, find_image_corners
 from ddic.inputs.mesh_source import check_weight_fits
 from ddic.io.image_file import ImageFile, hold_image, read_mask
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
@@ -91,8 +89,10 @@ def _check_other_image(path: Path, mask_path: Path | None, reference: ImageSourc
         if must_vary:
             check_varied(image)
     with problems.gathered():
-        if reference is not None:
-            _check_same_size(reference, image)
+        if reference is not None and (reference.width, reference.height) != (image.width, image.height):
+            raise InputError(f"{image.path}: the image is {image.width}x{image.height} px, but the "
+                             f"reference {reference.path} is {reference.width}x{reference.height} px; "
+                             "give a pair of one size")
 
 
 def check_decodable(images: ImagesSection | NearSection, problems: Problems) -> None:
@@ -140,13 +140,6 @@ def _leaves_too_few(is_used: BoolArray) -> bool:
     return int(np.count_nonzero(is_used)) < min(LEAST_LEFT, is_used.size / 2)
 
 
-def _check_same_size(reference: ImageSource, deformed: ImageSource) -> None:
-    if (reference.width, reference.height) != (deformed.width, deformed.height):
-        raise InputError(f"{deformed.path}: the image is {deformed.width}x{deformed.height} px, but the "
-                         f"reference {reference.path} is {reference.width}x{reference.height} px; "
-                         "give a pair of one size")
-
-
 def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
     """Check that pixels of the mesh are left to measure by, and that the regularization does not drown them.
 
@@ -155,7 +148,7 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
     carries.
     """
     images = case.images
-    window = _find_window(mesh, reference)
+    window = _bound(mesh.nodes).clip(reference.width, reference.height)
     if images.reference_mask is not None or images.exclude_saturated:
         usable = _find_usable(case, reference, mesh, window)
         if _leaves_too_few(usable):
@@ -174,20 +167,15 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
         check_weight_fits(section.eta, lame + 2 * shear, texture, measure_cell_size(mesh))
 
 
-def _find_window(mesh: Mesh, reference: ImageSource) -> Window:
-    """Pixels of the mesh's bounding box."""
-    low, high = np.ceil(mesh.nodes.min(axis=0)).astype(int), np.floor(mesh.nodes.max(axis=0)).astype(int)
-    return Window(int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1).clip(reference.width, reference.height)
+def _bound(points: Array) -> Window:
+    """Pixels in the box about some points."""
+    low, high = np.ceil(points.min(axis=0)).astype(int), np.floor(points.max(axis=0)).astype(int)
+    return Window(int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1)
 
 
 def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
     """Pixels of a window that lie in the mesh and count."""
-    images = case.images
-    saturated_from = None
-    if images.exclude_saturated:
-        saturated_from = find_saturation(reference) if images.saturation is None else images.saturation
-    mask = None if images.reference_mask is None else hold_image(images.reference_mask)
-    counted = MaskedSource(reference, mask, saturated_from).find_usable(window)
+    counted = exclude_masked(reference, case.images, case.images.reference_mask, hold_image).find_usable(window)
     covered = rasterize(mesh).find_covered(reference.width, reference.height)[window.y0:window.y1, window.x0:window.x1]
     return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
 
@@ -222,26 +210,17 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
     """
     far_path = far.reference.image.path
     place = f"{near.entry}: {near.reference.image.path}"
-    low, high = _find_corners(near)
-    seen = Window(int(low[0]), int(low[1]), int(high[0]) + 1, int(high[1]) + 1)
+    seen = _bound(near.setup.mapping.to_specimen(find_image_corners(near.reference.image)))
     common = seen.intersection(far.reference.extent)
     if common.width < 2 or common.height < 2:
-        raise InputError(f"{place} lies outside the far-field image {far_path} by its mapping (columns {low[0]} "
-                         f"to {high[0]}, rows {low[1]} to {high[1]}); find the mapping with ddic calibrate")
+        raise InputError(f"{place} lies outside the far-field image {far_path} by its mapping (columns {seen.x0} "
+                         f"to {seen.x1 - 1}, rows {seen.y0} to {seen.y1 - 1}); find the mapping with ddic calibrate")
     if _measure_area_ratio(near) <= 0:
         raise InputError(f"{place}: its mapping turns the image over; mirror the images, or correct the mapping")
     coefficient = _correlate_references(far, near, common)
     if coefficient < LEAST_COEFFICIENT:
         raise InputError(f"{place} does not show what the far-field image {far_path} shows where its mapping "
                          f"puts it (correlation coefficient {coefficient:.2f}); find the mapping with ddic calibrate")
-
-
-def _find_corners(near: Camera) -> tuple[IntArray, IntArray]:
-    """First and last column and row, far-field pixels, that a near image reaches by its mapping."""
-    seen = near.setup.mapping.to_specimen(list_corners(near.reference.image))
-    low = np.ceil(seen.min(axis=0)).astype(np.int64)
-    high = np.floor(seen.max(axis=0)).astype(np.int64)
-    return low, high
 
 
 def _measure_area_ratio(near: Camera) -> float:
@@ -275,10 +254,8 @@ def _choose_probe(centre: Array, magnification: float, common: Window) -> Window
 
 def _list_pixels(window: Window) -> Array:
     """Positions of all pixels of a window, row after row, (n, 2)."""
-    x = np.arange(window.x0, window.x1)
-    y = np.arange(window.y0, window.y1)
-    columns, rows = np.meshgrid(x, y)
-    return np.asarray(np.stack([columns.ravel(), rows.ravel()], axis=1), dtype=np.float64)
+    rows, columns = np.mgrid[window.y0:window.y1, window.x0:window.x1]
+    return np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
 
 
 def _sample_blurred(image: ImageSource, points: Array, magnification: float) -> tuple[NDArray[np.float32], BoolArray]:

@@ -55,7 +55,7 @@ class Similarity:
 
 
 @dataclass(frozen=True, eq=False)
-class CellBlock:
+class CellsOfType:
     """The cells of one type in a mesh.
 
     Attributes
@@ -133,13 +133,13 @@ class Mesh:
         return padded
 
     @cached_property
-    def cell_blocks(self) -> tuple[CellBlock, ...]:
+    def cell_blocks(self) -> tuple[CellsOfType, ...]:
         """The cells by type, in order of the types' VTK numbers."""
         blocks = []
         for number in np.unique(self.types):
             kind = CELL_TYPES[int(number)]
             members = np.flatnonzero(self.types == number).astype(np.int64)
-            blocks.append(CellBlock(kind, members, self.cells[members, :kind.n_nodes]))
+            blocks.append(CellsOfType(kind, members, self.cells[members, :kind.n_nodes]))
         return tuple(blocks)
 
     @cached_property
@@ -290,7 +290,7 @@ def compute_geometry(mesh: Mesh) -> Array:
     return np.ascontiguousarray(np.einsum("eam,eac->ecm", of_type[mesh.types], coordinates))
 
 
-def compute_shape_gradients(mesh: Mesh, block: CellBlock, local: Array) -> tuple[Array, Array]:
+def compute_shape_gradients(mesh: Mesh, block: CellsOfType, local: Array) -> tuple[Array, Array]:
     """Differentiate the shape functions of cells of one type by x, at points of the reference cell, (n_points, dim).
 
     Gives dN_a / dx_j, (n, n_points, n_nodes, dim), 1/px, and the determinant of the map's Jacobian, (n, n_points),

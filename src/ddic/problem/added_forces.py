@@ -78,8 +78,8 @@ def measure_turn(other: float, one: float) -> float:
     return float((one - other + np.pi) % (2 * np.pi) - np.pi)
 
 
-def round_angle(angle: float, before: float) -> float:
-    """Round the angle of a region to that by which its stiffness is turned, ``before`` where that is near, radians."""
+def choose_stiffness_angle(angle: float, before: float) -> float:
+    """Choose by which angle to turn the stiffness of a region that has turned by another, radians; ``before`` if near."""
     # Not at every step's edge: two solutions might take turns.
     is_near = abs(measure_turn(before, angle)) <= KEPT_STEPS * STEP_ANGLE
     return before if is_near else round(angle / STEP_ANGLE) * STEP_ANGLE

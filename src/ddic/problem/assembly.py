@@ -437,7 +437,7 @@ def find_displaced_nodes(subdomain: Subdomain, unknowns: BoolArray) -> BoolArray
     return np.asarray(is_displaced.reshape(subdomain.mesh.nodes.shape).any(axis=1))
 
 
-def find_unheld_unknowns(team: Team, subdomains: Sequence[Subdomain], n_pixels: ByView[IntArray]) -> IntArray:
+def find_unseen_unknowns(team: Team, subdomains: Sequence[Subdomain], n_pixels: ByView[IntArray]) -> IntArray:
     """Find the same where cells of each view have so many pixels that count, (n_cells,); collective."""
     unseen = [~find_held(subdomain, counts) for subdomain, counts in zip(subdomains, n_pixels, strict=True)]
     return find_free_unknowns(team, subdomains, unseen)

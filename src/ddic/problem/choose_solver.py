@@ -12,7 +12,7 @@ from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team, require_held
 from ddic.problem.region_mesh import RegionMesh, compute_cut_off_wavelength
 from ddic.solvers.petsc import ASSEMBLED, COARSE, is_mumps_missing
-from ddic.solvers.step_costs import Candidate, StepCosts, StepTask, predict_costs
+from ddic.solvers.step_costs import StepCandidate, StepCosts, StepTask, predict_costs
 
 STEPS_OF_FRAME = 5
 """Linear steps of a frame: four of Gauss-Newton and one of the noise floor, as most measurements have. More of them
@@ -85,7 +85,7 @@ def _describe_task(region_mesh: RegionMesh, n_ranks: int) -> StepTask:
     return StepTask(region_mesh.kinematics.n_unknowns, mesh.n_cells, wavelength, n_ranks, n_steps, n_started)
 
 
-def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[Candidate]:
+def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[StepCandidate]:
     """What can solve the case."""
     given = _count_given_subdomains(region_mesh)
     fewest = given or max(task.n_ranks, len(region_mesh.inputs.cameras))
@@ -93,15 +93,15 @@ def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[Candid
     if _is_dual_wanted(region_mesh):
         return
     if not is_mumps_missing(ASSEMBLED):
-        yield Candidate("assembled", fewest)
+        yield StepCandidate("assembled", fewest)
     if fewest == 1:
         # The dual method with one subdomain by its simpler name.
-        yield Candidate("monolithic", 1)
+        yield StepCandidate("monolithic", 1)
     if _are_iterations_predictable(region_mesh):
-        yield Candidate("conjugate_gradient", fewest)
+        yield StepCandidate("conjugate_gradient", fewest)
 
 
-def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given: bool) -> Iterator[Candidate]:
+def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given: bool) -> Iterator[StepCandidate]:
     solver = region_mesh.inputs.case.solver
     counts = {fewest} if fewest > 1 or _is_dual_wanted(region_mesh) else set()
     # Where parts of the mesh must stay together, more subdomains than there must be may not be possible.
@@ -110,11 +110,11 @@ def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given
         counts |= {count for count in wanted if count > fewest}
     for count in sorted(counts):
         if solver.preconditioner != "auto":
-            yield Candidate("dual", count, solver.preconditioner)
+            yield StepCandidate("dual", count, solver.preconditioner)
             continue
-        yield Candidate("dual", count)
+        yield StepCandidate("dual", count)
         if task.is_regularized and count >= FEWEST_FOR_TWO_LEVELS and not is_mumps_missing(COARSE):
-            yield Candidate("dual", count, "two_level")
+            yield StepCandidate("dual", count, "two_level")
 
 
 def _count_given_subdomains(region_mesh: RegionMesh) -> int | None:

@@ -16,8 +16,8 @@ from ddic.mesh.plane import build_rotation
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.added_forces import LEAST_ANGLE, HeldRotation, fit_rigid_motion, round_angle
-from ddic.problem.assembly import AssembledFrom, assemble, describe_lost_pixels, find_renewal, find_unheld_unknowns
+from ddic.problem.added_forces import LEAST_ANGLE, HeldRotation, choose_stiffness_angle, fit_rigid_motion
+from ddic.problem.assembly import AssembledFrom, assemble, describe_lost_pixels, find_renewal, find_unseen_unknowns
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem, weigh_cameras
 from ddic.problem.region_mesh import compute_cut_off_wavelength, describe_cut_off
@@ -81,7 +81,7 @@ class WeightedProblem:
         reference = self.reference
         if reference.inputs.case.regularization is not None:
             return False
-        return len(find_unheld_unknowns(self.team, reference.subdomains, self._assembled_from.n_pixels)) > 0
+        return len(find_unseen_unknowns(self.team, reference.subdomains, self._assembled_from.n_pixels)) > 0
 
     @property
     def is_set_up(self) -> bool:
@@ -148,7 +148,7 @@ class WeightedProblem:
             return model, ()
         angle = fit_rigid_motion(q).angle
         notes: tuple[str, ...] = ()
-        of_stiffness = round_angle(angle, self._stiffness_angle)
+        of_stiffness = choose_stiffness_angle(angle, self._stiffness_angle)
         if of_stiffness != self._stiffness_angle:
             self._turn_stiffness(of_stiffness)
             notes = (f"the stiffness is turned by {np.rad2deg(self._stiffness_angle):.1f} degrees",)

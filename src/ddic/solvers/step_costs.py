@@ -187,7 +187,7 @@ class StepTask:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class StepCandidate:
     """A way to make them.
 
     Attributes
@@ -217,7 +217,7 @@ class StepCosts:
 
     Attributes
     ----------
-    candidate : Candidate
+    candidate : StepCandidate
         The way.
     set_up, step : float
         Seconds of a rank before the first step, and for a step.
@@ -229,7 +229,7 @@ class StepCosts:
         Bytes of a rank, M and Kbar included.
     """
 
-    candidate: Candidate
+    candidate: StepCandidate
     set_up: float
     step: float
     n_steps: int
@@ -246,9 +246,9 @@ class StepCosts:
         return f"{self.candidate.describe()} {self.seconds:.2g} s, {self.memory / 2**30:.2g} GiB"
 
 
-def predict_costs(task: StepTask, candidate: Candidate) -> StepCosts:
+def predict_costs(task: StepTask, candidate: StepCandidate) -> StepCosts:
     """Predict what a candidate takes, seconds and bytes."""
-    of_method: dict[StepMethod, Callable[[StepTask, Candidate], StepCosts]] = {
+    of_method: dict[StepMethod, Callable[[StepTask, StepCandidate], StepCosts]] = {
         "dual": _predict_dual,
         "assembled": _predict_assembled,
         "conjugate_gradient": _predict_conjugate_gradient,
@@ -262,7 +262,7 @@ def find_shared_boundary(n_subdomains: int) -> float:
     return 1.0 - 1.0 / float(np.sqrt(n_subdomains))
 
 
-def _predict_assembled(task: StepTask, candidate: Candidate) -> StepCosts:
+def _predict_assembled(task: StepTask, candidate: StepCandidate) -> StepCosts:
     """MUMPS's nested dissection: n^1.5 operations of the factor, n log n entries."""
     n = task.n_unknowns
     kind = MEASURED.whole[task.is_regularized]
@@ -274,7 +274,7 @@ def _predict_assembled(task: StepTask, candidate: Candidate) -> StepCosts:
     return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * MEASURED.system_memory + memory)
 
 
-def _predict_monolithic(task: StepTask, candidate: Candidate) -> StepCosts:
+def _predict_monolithic(task: StepTask, candidate: StepCandidate) -> StepCosts:
     """CHOLMOD of the whole."""
     n = task.n_unknowns
     kind = MEASURED.local[task.is_regularized]
@@ -284,7 +284,7 @@ def _predict_monolithic(task: StepTask, candidate: Candidate) -> StepCosts:
     return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, memory)
 
 
-def _predict_conjugate_gradient(task: StepTask, candidate: Candidate) -> StepCosts:
+def _predict_conjugate_gradient(task: StepTask, candidate: StepCandidate) -> StepCosts:
     """Iterations as the root of D^-1 A's condition number: the square of the cut-off wavelength in cells."""
     iterations = max(MEASURED.cg_iterations, MEASURED.cg_iterations_by_square * task.wavelength**2)
     n_own = -(-candidate.n_subdomains // task.n_ranks)
@@ -294,7 +294,7 @@ def _predict_conjugate_gradient(task: StepTask, candidate: Candidate) -> StepCos
                      task.n_share * MEASURED.system_memory)
 
 
-def _predict_dual(task: StepTask, candidate: Candidate) -> StepCosts:
+def _predict_dual(task: StepTask, candidate: StepCandidate) -> StepCosts:
     """CHOLMOD of each subdomain, S_s and its inverse, as many operations each as a factor, and few iterations."""
     n_subdomains = candidate.n_subdomains
     n_own = -(-n_subdomains // task.n_ranks)
@@ -317,7 +317,7 @@ def _predict_dual(task: StepTask, candidate: Candidate) -> StepCosts:
     return StepCosts(candidate, n_own * n * set_up + started, step, task.n_steps, iterations, n_own * n * memory)
 
 
-def _count_dual_iterations(task: StepTask, candidate: Candidate) -> float:
+def _count_dual_iterations(task: StepTask, candidate: StepCandidate) -> float:
     """GMRES iterations: with one level they grow with the cut-off wavelength over the side of a subdomain."""
     if candidate.n_subdomains == 1:
         return 0.0

@@ -18,7 +18,7 @@ from ddic.functionals.view import View
 from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.assembly import find_displaced_nodes, find_unheld_unknowns
+from ddic.problem.assembly import find_displaced_nodes, find_unseen_unknowns
 from ddic.problem.residual_model import Evaluation
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
@@ -171,7 +171,7 @@ def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> l
     if problem.reference.inputs.case.regularization is not None:
         return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
     n_pixels = evaluation.residuals.map(lambda residual: residual.cell_sums.n_pixels.astype(np.int64))
-    free = find_unheld_unknowns(problem.team, subdomains, n_pixels)
+    free = find_unseen_unknowns(problem.team, subdomains, n_pixels)
     return [find_displaced_nodes(subdomain, np.isin(subdomain.kinematics.numbers, free)) for subdomain in subdomains]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -190,6 +190,17 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
     offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)
     return TypicalCell(find_weighted_median(cells.unexplained, n), find_weighted_median(cells.spread_f, n)**2,
                        find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)
+
+
+def find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:
+    """Find the same of the cells of each camera."""
+    return {camera: find_typical_cell(cells) for camera, cells in sample.items()}
+
+
+def find_blank(cells: SeenCells, typical: TypicalCell) -> BoolArray:
+    """Find the cells of a view that have no texture, (n_cells,); none where nothing has any: the operators say so."""
+    is_weak = (cells.texture <= BLANK_TEXTURE * typical.texture) & (typical.texture > 0)
+    return np.asarray(is_weak & (cells.coefficient < CORRELATED) & (cells.n_pixels >= FEWEST_PIXELS))
 
 
 def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> BoolArray:

@@ -16,7 +16,7 @@ from ddic.errors import ConvergenceError
 from ddic.functionals.view import CellSlopes, View
 from ddic.inputs.cameras import Camera
 from ddic.parallel.field import ByView, Field
-from ddic.problem.held_cells import AT_END, AT_START, SHOWN, Limits
+from ddic.problem.held_cells import SHOWN
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
@@ -33,14 +33,13 @@ from ddic.solvers.gauss_newton import (
 )
 from ddic.solvers.probing import estimate_response
 from ddic.visibility.cell_errors import find_unmeasured_nodes
-from ddic.visibility.exclusions import Exclusions, Rules, find_exclusions
+from ddic.visibility.exclusions import AT_END, AT_START, Exclusions, Limits, Rules, find_exclusions
 from ddic.visibility.match_reference import ORDER, choose_correction, match_brightness, match_sharpness
 from ddic.visibility.seen_cells import (
-    SeenCells,
     TypicalCell,
     collect_cells,
     find_standing_out,
-    find_typical_cell,
+    find_typical_cells,
     measure_seen_cells,
 )
 from ddic.visibility.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
@@ -123,13 +122,18 @@ def see_frame(case: Case, whole: ResidualModel, q: Field, slopes: ByView[CellSlo
         slopes = whole.views.map(View.measure_slopes)
     seen = measure_seen_cells(whole, evaluation, slopes)
     sample = collect_cells(whole, seen)
-    typical = _find_typical_cells(sample)
-    chosen = _choose(case, whole, sample, typical)
-    if chosen.correction != whole.correction:
-        whole = match_brightness(chosen, seen, typical) if chosen.correction == "element" else chosen
+    typical, chosen = find_typical_cells(sample), whole.correction
+    if case.correlation.grey_correction == "auto":
+        # Small cells about a tip do not tell their own.
+        has_tips = any(line.tip_functions for line in case.discontinuity)
+        chosen = choose_correction(sample, typical, whole.correction, "global" if has_tips else "element")
+    if chosen != whole.correction:
+        whole = replace(whole, correction=chosen)
+        if chosen == "element":
+            whole = match_brightness(whole, seen, typical)
         evaluation = whole.evaluate(q)
         seen = measure_seen_cells(whole, evaluation, slopes)
-        typical = _find_typical_cells(collect_cells(whole, seen))
+        typical = find_typical_cells(collect_cells(whole, seen))
     corrected = typical
     if whole.correction == "none":
         corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
@@ -160,21 +164,6 @@ def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Fi
         return seen, notes
     # Blurred from the file, they are as bright as there.
     return see_frame(case, replace(matched, correction=whole.correction), q, slopes, AT_START), notes
-
-
-def _find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:
-    return {camera: find_typical_cell(cells) for camera, cells in sample.items()}
-
-
-def _choose(case: Case, whole: ResidualModel, sample: Mapping[int, SeenCells],
-            typical: Mapping[int, TypicalCell]) -> ResidualModel:
-    """The model with the correction of grey levels that the case asks for, or leaves to the pair."""
-    if case.correlation.grey_correction != "auto":
-        return whole
-    # Small cells about a tip do not tell their own.
-    has_tips = any(line.tip_functions for line in case.discontinuity)
-    chosen = choose_correction(sample, typical, whole.correction, "global" if has_tips else "element")
-    return replace(whole, correction=chosen)
 
 
 @dataclass(frozen=True)
