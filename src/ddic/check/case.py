@@ -13,7 +13,7 @@ from ddic.check.images import check_decodable, check_images
 from ddic.check.mesh import CheckReport, check_most_ranks
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
-from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points
+from ddic.inputs.inputs import StartPoints, check_start_points, load_start_points
 from ddic.io.input_file import FileStamps
 from ddic.io.result_reader import require_known_displacement
 from ddic.io.series_reader import read_frame_or_last

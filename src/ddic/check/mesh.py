@@ -13,8 +13,8 @@ from ddic.errors import InputError, Problems
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import assign_cells, collect_measured_cells, open_cameras
+from ddic.inputs.inputs import StartPoints, require_points_inside
 from ddic.inputs.mesh_source import NO_INNER_NODE, build_mesh_anywhere, build_meshes, check_wavelength_fits
-from ddic.inputs.start_points import StartPoints, require_points_inside
 from ddic.io.image_file import open_image
 from ddic.io.text_files import read_partition
 from ddic.mesh.cell_type import CELL_TYPES

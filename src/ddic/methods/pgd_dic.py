@@ -8,8 +8,7 @@ from ddic.check.mesh import CheckReport, describe_rectangle
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame
-from ddic.inputs.inputs import Inputs
-from ddic.inputs.start_points import StartPoints
+from ddic.inputs.inputs import Inputs, StartPoints
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import Grid

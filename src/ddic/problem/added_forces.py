@@ -79,7 +79,7 @@ def measure_turn(other: float, one: float) -> float:
 
 
 def choose_stiffness_angle(angle: float, before: float) -> float:
-    """Choose by which angle to turn the stiffness of a region that has turned by another, radians; ``before`` if near."""
+    """Choose by which angle to turn the stiffness where the region has turned so far, radians; ``before`` if near."""
     # Not at every step's edge: two solutions might take turns.
     is_near = abs(measure_turn(before, angle)) <= KEPT_STEPS * STEP_ANGLE
     return before if is_near else round(angle / STEP_ANGLE) * STEP_ANGLE

@@ -451,8 +451,6 @@ def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequ
     copies = [copy for s, is_unseen in zip(subdomains, unseen, strict=True)
               for copy in zip(s.kinematics.numbers[is_unseen].tolist(), s.multiplicity[is_unseen].tolist(),
                               strict=True)]
-    gathered = team.gather_lists(copies)
-    n_copies = Counter(number for number, _ in gathered)
     # Held in none of the subdomains that share it.
-    free = {number for number, multiplicity in gathered if n_copies[number] == multiplicity}
+    free = [number for (number, multiplicity), n in Counter(team.gather_lists(copies)).items() if n == multiplicity]
     return np.array(sorted(free), dtype=np.int64)

@@ -156,11 +156,6 @@ def sum_pulls(pulled: ByView[PulledView | None], q: Sequence[Array]) -> list[Arr
             for of_views, q_s in zip(pulled, q, strict=True)]
 
 
-def keep_other_cells(pulled: ByView[PulledView | None], residuals: ByView[Residual]) -> ByView[Residual]:
-    """Keep the residuals of cells that are not pulled."""
-    return pulled.map(lambda view, residual: residual if view is None else view.keep_others(residual), residuals)
-
-
 def find_cells_beside(view: FrameView, q: Array, cells: IntArray, noise: float) -> dict[int, Array]:
     """Find the cells that the frame shows beside where unknowns put them, not far off.
 

@@ -139,18 +139,15 @@ class LinearSolver:
         if self.method == "assembled":
             return AssembledStep(self._team, systems, self.assembly.smallest_eigenvalue)
         if self.method == "dual":
-            return self._make_dual_step()
+            subdomains = [system.subdomain for system in systems]
+            self.preconditioner = choose_preconditioner(self._team, self._case, subdomains)
+            settings = DualSettings(self.preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
+                                    solver.local_inverse)
+            operators = [self._operators[place] for place in range(len(systems))]
+            return DualStep(self._team, systems, operators, self.assembly.reaction_scale, settings, self._clock)
         most_iterations = self._most_iterations or solver.max_iterations
         step = ConjugateGradientStep(self._team, systems, solver.tolerance, most_iterations)
         return step if self._most_iterations is None else GuardedStep(step, self._factorize_instead)
-
-    def _make_dual_step(self) -> DualStep:
-        solver, systems = self._case.solver, self.assembly.systems
-        self.preconditioner = choose_preconditioner(self._team, self._case, [system.subdomain for system in systems])
-        settings = DualSettings(self.preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
-                                solver.local_inverse)
-        operators = [self._operators[place] for place in range(len(systems))]
-        return DualStep(self._team, systems, operators, self.assembly.reaction_scale, settings, self._clock)
 
     def _factorize_instead(self, _: ConvergenceError) -> LinearStep:
         """The step that takes conjugate gradients' place where they take longer than predicted; collective."""
@@ -185,15 +182,10 @@ def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain
     if case.solver.preconditioner != "auto":
         return case.solver.preconditioner
     wavelength = compute_cut_off_wavelength(case)
-    sides = team.gather_lists([_side(subdomain) for subdomain in subdomains])
+    # Of a square or cube as large as the subdomain's box, pixels.
+    sides = team.gather_lists([float(np.prod(np.ptp(s.mesh.nodes, axis=0)) ** (1 / s.mesh.dim)) for s in subdomains])
     is_slow = len(sides) >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * float(np.mean(sides))
     return "two_level" if is_slow else "scaled"
-
-
-def _side(subdomain: Subdomain) -> float:
-    """Side of a square or cube as large as the subdomain's box, pixels."""
-    extent = np.ptp(subdomain.mesh.nodes, axis=0)
-    return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
 
 
 def _describe(subdomain: Subdomain) -> str:

@@ -158,7 +158,12 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
         for number, members in enumerate(c for of_rank in require_held(cells) for c in of_rank):
             piece_of_cell[members] = number
         parts = merge_blank(piece_of_cell, owner, _adjacency_within_cameras(require_held(region_mesh)), blank)
-        _refuse_too_few(parts, len(np.unique(owner)), team.size)
+        n_before, n_left = len(np.unique(owner)), int(parts.max()) + 1
+        if n_left < team.size:
+            raise InputError(
+                f"{n_before - n_left} of {n_before} subdomains hold no texture and join a neighbour, which leaves "
+                f"{n_left} for {team.size} MPI ranks, but every rank needs at least one; start at most {n_left} ranks "
+                "or ask for more subdomains (solver.subdomains)")
         return parts
 
     parts = team.build_on_root(merge)
@@ -200,15 +205,6 @@ def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[IntArray, IntArr
     same = cameras[row] == cameras[indices]
     counts = np.bincount(row[same], minlength=len(indptr) - 1)
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[same]
-
-
-def _refuse_too_few(parts: IntArray, n_before: int, n_ranks: int) -> None:
-    n_left = int(parts.max()) + 1
-    if n_left < n_ranks:
-        raise InputError(
-            f"{n_before - n_left} of {n_before} subdomains hold no texture and join a neighbour, which leaves {n_left} "
-            f"for {n_ranks} MPI ranks, but every rank needs at least one; start at most {n_left} ranks or ask for more "
-            "subdomains (solver.subdomains)")
 
 
 def _describe(owner: IntArray, blank: BoolArray, n_left: int) -> str:

@@ -5,7 +5,7 @@ Also whether a frame turns or stretches the specimen so much that the gradient o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +29,7 @@ from ddic.parallel.field import ByView, Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.added_forces import FilledCells, HeldRotation
-from ddic.problem.held_cells import PulledView, keep_other_cells, sum_pulls
+from ddic.problem.held_cells import PulledView, sum_pulls
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_correction, weigh_nodes
 
 
@@ -108,10 +108,10 @@ class ResidualModel:
         residuals = self.team.together(lambda: self._compute_residuals(q))
         if self.held_grey is not None:
             return Evaluation(residuals, self.held_grey)
-        sums = self._sum_by_camera(residuals, lambda residual: residual.sums.values)
+        sums = self.sum_by_camera(residuals.map(lambda residual: residual.sums.values))
         corrected: Sequence[Array | None] = [None] * self.n_cameras
         if self.correction == "element":
-            corrected = list(self._sum_by_camera(residuals, _sums_corrected_by_cell))
+            corrected = list(self.sum_by_camera(residuals.map(_sums_corrected_by_cell)))
         grey = [self._grey_state(GreySums(total), by_cell) for total, by_cell in zip(sums, corrected, strict=True)]
         return Evaluation(residuals, tuple(grey))
 
@@ -122,7 +122,10 @@ class ResidualModel:
         all_kinds = self.correction != "none"
         residuals = self.views.map(lambda view, q_s: view.compute_residual(q_s, all_kinds=all_kinds),
                                    self.views.fill(q))
-        return residuals if self.pulled is None else keep_other_cells(self.pulled, residuals)
+        if self.pulled is None:
+            return residuals
+        return self.pulled.map(lambda pulled, residual: residual if pulled is None else pulled.keep_others(residual),
+                               residuals)
 
     def assemble_right_hand_side(self, evaluation: Evaluation, q: Field) -> Field:
         """Assemble b, Eq. 7 of [BP17], grey levels squared per pixel, from the evaluation at q, on each rank."""
@@ -167,16 +170,15 @@ class ResidualModel:
         """Weigh corrections of nodes by what can be known of them, (n_nodes,) of each owned subdomain."""
         return None if self.deviations is None else weigh_nodes(self.deviations)
 
-    def _sum_by_camera(self, residuals: ByView[Residual], summed: Callable[[Residual], Array]) -> Array:
-        """Sums over the pixels of each camera, (n_cameras, n); collective."""
+    def sum_by_camera(self, values: ByView[Array]) -> Array:
+        """Sum what views have by their cameras, (n_cameras, ...); collective."""
 
-        def put_in_row(view: FrameView, residual: Residual) -> Array:
-            of_view = summed(residual)
-            rows = np.zeros((self.n_cameras, len(of_view)))
+        def put_in_row(view: FrameView, of_view: Array) -> Array:
+            rows = np.zeros((self.n_cameras, *of_view.shape))
             rows[view.camera] = of_view
             return rows
 
-        return self.team.ordered_sum(add_views(self.views.map(put_in_row, residuals)))
+        return self.team.ordered_sum(add_views(self.views.map(put_in_row, values)))
 
     def _grey_state(self, total: GreySums, corrected: Array | None) -> GreyState:
         """Statistics of a camera from the sums over its pixels; corrected: of the residual corrected by cell, (2,)."""

@@ -12,7 +12,7 @@ from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, measure_deviation
 from ddic.functionals.view import FrameView
 from ddic.inputs.cameras import Camera, Frame
-from ddic.inputs.start_points import StartPoints
+from ddic.inputs.inputs import StartPoints
 from ddic.kinematics.camera import CameraKinematics
 from ddic.kinematics.kinematics import Kinematics
 from ddic.parallel.field import ByView, Field

@@ -152,12 +152,13 @@ def describe_lost_field(team: Team, are_noisy: Sequence[BoolArray], are_shown: S
 
 def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
     """Say how many cells are doubtful, in a line, or none; collective."""
-    n_doubtful = team.sum(sum(int(of_cells.doubtful.sum()) for of_cells in errors))
+    counts = np.zeros(4, dtype=np.int64)
+    for of_cells in errors:
+        is_off = of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)
+        counts += [of_cells.doubtful.sum(), np.isnan(of_cells.equivalent).sum(), is_off.sum(), len(is_off)]
+    n_doubtful, n_unseen, n_off, n_cells = team.sum(counts).tolist()
     if not n_doubtful:
         return ()
-    n_unseen = team.sum(sum(int(np.isnan(of_cells.equivalent).sum()) for of_cells in errors))
-    n_off = team.sum(sum(int((of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)).sum()) for of_cells in errors))
-    n_cells = team.sum(sum(len(of_cells.doubtful) for of_cells in errors))
     line = f"{n_doubtful} of {n_cells} cells are marked doubtful (cell field \"doubtful\")"
     reasons = {f"the residual of {n_off} is that of an error above {DOUBTFUL_PX} px": n_off,
                f"{n_unseen} hold no pixel that counts": n_unseen}

@@ -240,7 +240,9 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
     stands_out = find_standing_out(seen.cells, seen.typical, rules.limits.cell)
     may_be_spoilt = find_standing_out(seen.cells, seen.typical, rules.limits.searched)
     suspicious = np.flatnonzero((stands_out | may_be_spoilt) & (states == KEPT))
-    found = _find_cells_beside(seen, rules, suspicious)
+    # Without mechanics nothing is held off: what stands out is a mesh that cannot follow, or foreign.
+    found = find_cells_beside(seen.view, seen.q, suspicious, seen.typical.noise) if rules.is_regularized else {}
+    found = {cell: away for cell, away in found.items() if measure_mean_distance(away) <= rules.limits.beside}
     beside = np.array(list(found), dtype=np.int64)
     states[stands_out & (states == KEPT)] = SPOILT
     states[beside] = np.where(stands_out[beside], HELD_OFF, KEPT)
@@ -253,15 +255,6 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
             # A cell that does not stand out is as good as the field can follow it.
             states[cell] = SPOILT if stands_out[cell] else KEPT
     return states, np.concatenate(spots), _hold(seen, found)
-
-
-def _find_cells_beside(seen: SeenView, rules: Rules, cells: IntArray) -> dict[int, Array]:
-    """How far the corners of some cells are seen beside where mechanics hold them, of those that are."""
-    if not rules.is_regularized:
-        # No mechanics hold anything off: what stands out is a mesh that cannot follow, or foreign.
-        return {}
-    found = find_cells_beside(seen.view, seen.q, cells, seen.typical.noise)
-    return {cell: away for cell, away in found.items() if measure_mean_distance(away) <= rules.limits.beside}
 
 
 def _hold(seen: SeenView, found: Mapping[int, Array]) -> HeldCells:

@@ -29,14 +29,13 @@ from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.noise_transfer import (
-    TransferTable,
     build_transfer,
     build_white_transfer,
     correlate_slopes,
     find_cell_transfer,
 )
 from ddic.functionals.view import FrameView, View
-from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, REACH, estimate_rest_noise
+from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, estimate_rest_noise
 from ddic.images.window import Window
 from ddic.io.image_file import hold_image
 from ddic.mesh.quality import measure_covered_areas
@@ -228,8 +227,10 @@ def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Field,
     and offset of the grey levels count as known. ``model`` holds the pixels that count, cameras weighted; ``noise`` is
     of each camera's images, grey levels.
     """
-    team, tables = model.team, _tabulate_by_camera(model, case.correlation.spline_degree)
-    at = model.views.fill(q)
+    team, at = model.team, model.views.fill(q)
+    slopes = team.together(lambda: model.views.map(lambda view: correlate_slopes(view.correlation)))
+    # Of the texture that each camera sees.
+    tables = [build_transfer(of_camera, case.correlation.spline_degree) for of_camera in model.sum_by_camera(slopes)]
     transfers = team.together(lambda: model.views.map(
         lambda view, q_s: find_cell_transfer(tables[view.camera], view, q_s), at))
 
@@ -286,18 +287,6 @@ def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
     first, size = np.min(firsts, axis=0), np.sqrt(area / n_cells)
     # The cells of a regular mesh lie in the middle of their places: rounding decides nothing.
     return [np.floor((s.mesh.centroids - first) / size + 0.5).astype(np.int64) for s in subdomains]
-
-
-def _tabulate_by_camera(model: ResidualModel, degree: int) -> list[TransferTable]:
-    """Noise transfer of the texture that each camera sees; collective."""
-
-    def correlate(view: FrameView) -> Array:
-        sums = np.zeros((model.n_cameras, 2, 2 * REACH + 1, 2 * REACH + 1))
-        sums[view.camera] = correlate_slopes(view.correlation)
-        return sums
-
-    total = model.team.ordered_sum(add_views(model.team.together(lambda: model.views.map(correlate))))
-    return [build_transfer(of_camera, degree) for of_camera in total]
 
 
 def _weigh_noise(hessians: Array, sigma: float, transfer: Array) -> Array:

@@ -100,9 +100,8 @@ class SeenFrame:
 
     def measure_shown_share(self) -> float:
         """Share of the cells that are seen where they are thought to be, each camera's counted; collective."""
-        counts = np.array([sum(int(cells.sum()) for cells in self.is_shown.flat),
-                           sum(len(cells) for cells in self.is_shown.flat)], dtype=float)
-        n_shown, n_cells = self.whole.team.sum(counts)
+        are_shown = np.concatenate(self.is_shown.flat)
+        n_shown, n_cells = self.whole.team.sum(np.array([are_shown.sum(), len(are_shown)], dtype=float))
         return float(n_shown / max(n_cells, 1.0))
 
 
