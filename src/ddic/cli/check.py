@@ -12,7 +12,7 @@ from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.case.schema import Case
-    from ddic.check.mesh import CheckReport
+    from ddic.check.case import CheckReport
 
 
 ENDINGS = (".png", ".pdf", ".svg")

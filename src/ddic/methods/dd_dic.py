@@ -50,12 +50,12 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, listen
     """
     with clock.phase(Phase.READ):
         whole.team.together(lambda: read_frame_windows(whole.views, q))
-    cameras, case = problem.reference.inputs.cameras, problem.reference.inputs.case
     with clock.phase(Phase.RESIDUAL):
-        seen, of_blur = see_start(case, cameras, whole, q, problem.slopes)
+        seen, of_blur = see_start(problem, whole, q)
     if (shown := seen.measure_shown_share()) < least_shown:
         raise as_collective(ConvergenceError(f"{shown:.0%} of the elements are seen where the start puts them"))
-    model, is_regularized = seen.whole.with_large_gradients(q), case.regularization is not None
+    model = seen.whole.with_large_gradients(q)
+    is_regularized = problem.reference.inputs.case.regularization is not None
     # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
     model, notes = problem.fit(model if is_regularized else _use(model, seen, q), q)
     model, notes = _use(model, seen, q) if is_regularized else model, (*of_blur, *notes)

@@ -1,7 +1,7 @@
 """FE-DIC and R-DIC of a case: the method of cases that ask for no other one."""
 
 from ddic.case.schema import Case
-from ddic.check.mesh import check_on_mesh, check_ranks_of_subdomains
+from ddic.check.case import check_on_mesh, check_ranks_of_subdomains
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.inputs.mesh_source import build_meshes

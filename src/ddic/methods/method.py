@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self
 from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method
 from ddic.case.schema import Case
-from ddic.check.mesh import CheckReport
+from ddic.check.case import CheckReport
 from ddic.errors import Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame

@@ -4,7 +4,7 @@ from typing import Self
 
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
-from ddic.check.mesh import CheckReport, describe_rectangle
+from ddic.check.case import CheckReport, describe_rectangle
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame

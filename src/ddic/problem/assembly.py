@@ -274,7 +274,8 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
     for place, subdomain in enumerate(subdomains):
         most = bound_changes(int(np.sum(in_reference[place])), wavelength)
         lost.append(not _are_pixels_kept(subdomain, before.n_pixels[place], n_pixels[place], most))
-        turned.append(not _are_gradients_kept(before.inverse_deformations[place], now.inverse_deformations[place]))
+        turns = map(measure_deformation, before.inverse_deformations[place], now.inverse_deformations[place])
+        turned.append(max(turns, default=0.0) > LARGE)
         is_refilled = (before.filled[place] != cells[place]).any() or (is_turned and cells[place].any())
         is_freed = ((before.free[place] != is_free[place]) & ~subdomain.controlled).any()
         left.append(bool(is_refilled or is_freed))
@@ -334,12 +335,6 @@ def _describe(team: Team, subdomains: Sequence[Subdomain], concerned: Sequence[b
     numbers = team.gather_lists([subdomain.index for subdomain, is_concerned
                                  in zip(subdomains, concerned, strict=True) if is_concerned])
     return (f"{len(numbers)} subdomains ({list_first(numbers)}) {what}",) if numbers else ()
-
-
-def _are_gradients_kept(before: Sequence[Array | None], now: Sequence[Array | None]) -> bool:
-    """Whether no cell of a subdomain has turned or stretched by much since its M was assembled."""
-    changes = [measure_deformation(then, inverse) for then, inverse in zip(before, now, strict=True)]
-    return max(changes, default=0.0) <= LARGE
 
 
 def _are_pixels_kept(subdomain: Subdomain, before: Sequence[IntArray], now: Sequence[IntArray], most: float) -> bool:

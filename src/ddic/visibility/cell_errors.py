@@ -152,11 +152,11 @@ def describe_lost_field(team: Team, are_noisy: Sequence[BoolArray], are_shown: S
 
 def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
     """Say how many cells are doubtful, in a line, or none; collective."""
-    counts = np.zeros(4, dtype=np.int64)
+    counts = np.zeros(4)
     for of_cells in errors:
         is_off = of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)
         counts += [of_cells.doubtful.sum(), np.isnan(of_cells.equivalent).sum(), is_off.sum(), len(is_off)]
-    n_doubtful, n_unseen, n_off, n_cells = team.sum(counts).tolist()
+    n_doubtful, n_unseen, n_off, n_cells = team.sum(counts).astype(int)
     if not n_doubtful:
         return ()
     line = f"{n_doubtful} of {n_cells} cells are marked doubtful (cell field \"doubtful\")"

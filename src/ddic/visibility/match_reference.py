@@ -183,14 +183,12 @@ def match_sharpness(whole: ResidualModel, cameras: Sequence[Camera], q: Sequence
         return whole, ()
     views = whole.team.together(lambda: whole.views.map(
         lambda view: _blur_reference(view, cameras[view.camera].reference, blurs.get(view.camera))))
-    notes = tuple(_describe(blurs[camera.number], "" if len(cameras) == 1 else f" ({camera.label})")
-                  for camera in cameras if camera.number in blurs)
-    return replace(whole, views=views, blurs=tuple(sorted(blurs.items()))), notes
-
-
-def _describe(blur: Blur, of_camera: str) -> str:
-    return (f"{BLUR_NOTE}{of_camera}, which is blurred as much: standard deviation {blur.along:.1f} px at "
-            f"{np.rad2deg(blur.direction):.0f} degrees, {blur.across:.1f} px across")
+    notes = []
+    for number, blur in blurs.items():
+        of_camera = "" if len(cameras) == 1 else f" ({cameras[number].label})"
+        notes.append(f"{BLUR_NOTE}{of_camera}, which is blurred as much: standard deviation {blur.along:.1f} px at "
+                     f"{np.rad2deg(blur.direction):.0f} degrees, {blur.across:.1f} px across")
+    return replace(whole, views=views, blurs=tuple(sorted(blurs.items()))), tuple(notes)
 
 
 def _take_samples(whole: ResidualModel, q: Sequence[Array], camera: int) -> Iterator[tuple[Array, Array]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -192,9 +192,12 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
                        find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)
 
 
-def find_typical_cells(sample: Mapping[int, SeenCells]) -> dict[int, TypicalCell]:
-    """Find the same of the cells of each camera."""
-    return {camera: find_typical_cell(cells) for camera, cells in sample.items()}
+def see_cells(whole: ResidualModel, evaluation: Evaluation, slopes: ByView[CellSlopes],
+              ) -> tuple[ByView[SeenCells], dict[int, SeenCells], dict[int, TypicalCell]]:
+    """Measure the cells of owned subdomains; with a sample of all ranks' cells, and what most are like, by camera."""
+    seen = measure_seen_cells(whole, evaluation, slopes)
+    sample = collect_cells(whole, seen)
+    return seen, sample, {camera: find_typical_cell(cells) for camera, cells in sample.items()}
 
 
 def find_blank(cells: SeenCells, typical: TypicalCell) -> BoolArray:

@@ -5,16 +5,14 @@ field that they are judged by: they must come to rest. So must corrections that 
 the noise of the field.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ddic.arrays import BoolArray
-from ddic.case.schema import Case
 from ddic.errors import ConvergenceError
-from ddic.functionals.view import CellSlopes, View
-from ddic.inputs.cameras import Camera
+from ddic.functionals.view import View
 from ddic.parallel.field import ByView, Field
 from ddic.problem.held_cells import SHOWN
 from ddic.problem.residual_model import Evaluation, ResidualModel
@@ -35,13 +33,7 @@ from ddic.solvers.probing import estimate_response
 from ddic.visibility.cell_errors import find_unmeasured_nodes
 from ddic.visibility.exclusions import AT_END, AT_START, Exclusions, Limits, Rules, find_exclusions
 from ddic.visibility.match_reference import ORDER, choose_correction, match_brightness, match_sharpness
-from ddic.visibility.seen_cells import (
-    TypicalCell,
-    collect_cells,
-    find_standing_out,
-    find_typical_cells,
-    measure_seen_cells,
-)
+from ddic.visibility.seen_cells import TypicalCell, find_standing_out, see_cells
 from ddic.visibility.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
 
 SAME_SPECKLE = 0.8
@@ -105,23 +97,20 @@ class SeenFrame:
         return float(n_shown / max(n_cells, 1.0))
 
 
-def see_frame(case: Case, whole: ResidualModel, q: Field, slopes: ByView[CellSlopes],
-              limits: Limits = AT_END, judged: Exclusions | None = None) -> SeenFrame:
+def see_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, limits: Limits = AT_END,
+              judged: Exclusions | None = None) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
     The case says whether that is wanted. ``whole`` is of all pixels that the frame shows, ``q`` where it is thought to
-    show them, ``slopes`` are of the reference images. A residual is not believed from the
-    displacement error of ``limits`` on, by default those of a field. ``judged`` is of an earlier look, from which is
-    taken which cells are blank; by default this one judges. Raises ConvergenceError on all ranks where most of the
-    frame does not show the specimen.
+    show them. A residual is not believed from the displacement error of ``limits`` on, by default those of a field.
+    ``judged`` is of an earlier look, from which is taken which cells are blank; by default this one judges. Raises
+    ConvergenceError on all ranks where most of the frame does not show the specimen.
     """
-    evaluation = whole.evaluate(q)
-    if whole.blurs:
-        # A blurred reference image has weaker ones.
-        slopes = whole.views.map(View.measure_slopes)
-    seen = measure_seen_cells(whole, evaluation, slopes)
-    sample = collect_cells(whole, seen)
-    typical, chosen = find_typical_cells(sample), whole.correction
+    case, evaluation = problem.reference.inputs.case, whole.evaluate(q)
+    # A blurred reference image has weaker ones.
+    slopes = whole.views.map(View.measure_slopes) if whole.blurs else problem.slopes
+    seen, sample, typical = see_cells(whole, evaluation, slopes)
+    chosen = whole.correction
     if case.correlation.grey_correction == "auto":
         # Small cells about a tip do not tell their own.
         has_tips = any(line.tip_functions for line in case.discontinuity)
@@ -131,8 +120,7 @@ def see_frame(case: Case, whole: ResidualModel, q: Field, slopes: ByView[CellSlo
         if chosen == "element":
             whole = match_brightness(whole, seen, typical)
         evaluation = whole.evaluate(q)
-        seen = measure_seen_cells(whole, evaluation, slopes)
-        typical = find_typical_cells(collect_cells(whole, seen))
+        seen, _, typical = see_cells(whole, evaluation, slopes)
     corrected = typical
     if whole.correction == "none":
         corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
@@ -148,21 +136,20 @@ def see_frame(case: Case, whole: ResidualModel, q: Field, slopes: ByView[CellSlo
     return SeenFrame(whole, evaluation, typical, excluded, is_shown)
 
 
-def see_start(case: Case, cameras: Sequence[Camera], whole: ResidualModel, q: Field,
-              slopes: ByView[CellSlopes]) -> tuple[SeenFrame, tuple[str, ...]]:
+def see_start(problem: WeightedProblem, whole: ResidualModel, q: Field) -> tuple[SeenFrame, tuple[str, ...]]:
     """See the same at a start, and blur the reference images as much as the frame is; collective.
 
     The case says whether either is wanted. Notes for the log come with what is seen; arguments are those of
     ``see_frame``. Raises ConvergenceError on all ranks where the frame shows no pixel.
     """
-    seen = see_frame(case, whole, q, slopes, AT_START)
-    if case.correlation.spoilt_pixels == "keep":
+    seen, inputs = see_frame(problem, whole, q, AT_START), problem.reference.inputs
+    if inputs.case.correlation.spoilt_pixels == "keep":
         return seen, ()
-    matched, notes = match_sharpness(seen.whole, cameras, q, seen.typical)
+    matched, notes = match_sharpness(seen.whole, inputs.cameras, q, seen.typical)
     if not notes:
         return seen, notes
     # Blurred from the file, they are as bright as there.
-    return see_frame(case, replace(matched, correction=whole.correction), q, slopes, AT_START), notes
+    return see_frame(problem, replace(matched, correction=whole.correction), q, AT_START), notes
 
 
 @dataclass(frozen=True)
@@ -302,15 +289,15 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: Res
     for more correction than the field does. By default what was chosen is never taken back. Raises ConvergenceError on
     all ranks, with the SolvedFrame, where the frame does not show the specimen there.
     """
-    case, before, q = problem.reference.inputs.case, solved.seen.whole, solved.field.q
+    before, q = solved.seen.whole, solved.field.q
     # Fields that are roughly found judge what is blank.
     judged = None if solved.solution.paused is not None else solved.seen.excluded
     try:
         if as_read is not None and before.correction != as_read.correction and not before.blurs:
-            seen = see_frame(case, as_read, q, problem.slopes, judged=judged)
+            seen = see_frame(problem, as_read, q, judged=judged)
             if ORDER.index(seen.whole.correction) < ORDER.index(before.correction):
                 return seen
-        return see_frame(case, before, q, problem.slopes, judged=judged)
+        return see_frame(problem, before, q, judged=judged)
     except ConvergenceError as error:
         error.last = solved
         raise
