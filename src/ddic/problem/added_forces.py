@@ -149,10 +149,8 @@ def _fit_fields(subdomain: Subdomain, centre: Array) -> Array:
     arms = subdomain.mesh.nodes - centre
     fields = [np.tile(axis, (len(arms), 1)) for axis in np.eye(2)]
     fields += [arms, arms @ build_rotation(np.pi / 2).T]
-    unknowns = np.zeros((subdomain.n_unknowns, len(fields)))
-    for k, field in enumerate(fields):
-        unknowns[:subdomain.n_field, k] = subdomain.kinematics.fit(field.ravel())
-    return unknowns
+    of_field = np.column_stack([subdomain.kinematics.fit(field.ravel()) for field in fields])
+    return np.vstack([of_field, np.zeros((subdomain.n_motion, len(fields)))])
 
 
 @dataclass(frozen=True, eq=False)

@@ -239,7 +239,9 @@ def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Field,
         # Of one camera, or of each cell.
         of_g = np.atleast_1d(gain)[:, None] ** 2 * transfer
         hessians = model.show(view, q_s).correlation.compute_cell_hessians()
-        return _weigh_noise(hessians, noise[view.camera], of_g)
+        # Node by node, both components.
+        scale = np.tile(np.sqrt(of_g), hessians.shape[1] // of_g.shape[1])
+        return np.asarray(noise[view.camera]**2 * hessians * (1.0 + scale[:, :, None] * scale[:, None, :]))
 
     covariances = team.together(lambda: model.views.map(weigh, evaluation.residuals, transfers, at))
     total, n_values = team.ordered_sum([np.array([sum(c.sum() for c in of_views), sum(c.size for c in of_views)])
@@ -287,13 +289,6 @@ def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
     first, size = np.min(firsts, axis=0), np.sqrt(area / n_cells)
     # The cells of a regular mesh lie in the middle of their places: rounding decides nothing.
     return [np.floor((s.mesh.centroids - first) / size + 0.5).astype(np.int64) for s in subdomains]
-
-
-def _weigh_noise(hessians: Array, sigma: float, transfer: Array) -> Array:
-    """Covariance of the forces of each cell, (n_cells, n, n); transfer: of g's noise to both components."""
-    n = hessians.shape[1]
-    scale = np.tile(np.sqrt(transfer), n // transfer.shape[1])
-    return np.asarray(sigma**2 * hessians * (1.0 + scale[:, :, None] * scale[:, None, :]))
 
 
 def _assemble(view: View, forces: Array) -> Array:
