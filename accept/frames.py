@@ -33,7 +33,7 @@ from ddic.io.result_reader import read_result
 from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.views import open_frame_views
+from ddic.problem.residual_model import open_frame_views
 from ddic.results.listener import Silence
 from ddic.results.measurement import Measurement
 from ddic.results.publishing import gather

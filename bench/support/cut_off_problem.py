@@ -24,8 +24,8 @@ from ddic.functionals.regularization import (
 from ddic.parallel.team import require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
+from ddic.problem.reference_problem import project_hessians
 from ddic.problem.region_mesh import RegionMesh, build_material
-from ddic.problem.views import project_hessians
 from ddic.solvers.local_system import LocalSystem
 
 

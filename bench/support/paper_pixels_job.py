@@ -28,9 +28,9 @@ from ddic.io.result_reader import read_result
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.reference_problem import read_reference_views
 from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
-from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import open_frame_views, read_frame_windows, read_reference_views
+from ddic.problem.residual_model import ResidualModel, open_frame_views, read_frame_windows
 
 Times = dict[str, tuple[float, float]]
 

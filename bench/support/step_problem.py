@@ -25,7 +25,7 @@ from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import Assembly, assemble
-from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
+from ddic.problem.reference_problem import Hessians, ReferenceProblem, assemble_hessians, read_reference_views
 from ddic.problem.region_mesh import (
     Region,
     RegionMesh,
@@ -34,7 +34,7 @@ from ddic.problem.region_mesh import (
     scatter_region,
     split_region,
 )
-from ddic.problem.views import Hessians, open_frame_views, read_reference_views
+from ddic.problem.residual_model import open_frame_views
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.linear_step import StepResult
 from ddic.solvers.local_system import LocalOperator, MonolithicStep

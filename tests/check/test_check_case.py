@@ -11,8 +11,7 @@ import tifffile
 from click.testing import CliRunner
 
 from ddic.case.loader import load_case
-from ddic.check.case import check_case
-from ddic.check.report import CheckReport
+from ddic.check.case import CheckReport, check_case
 from ddic.cli.check import check
 from ddic.errors import InputError
 from ddic.inputs.mesh_source import build_meshes

@@ -9,8 +9,7 @@ import pytest
 
 from ddic.api.options import make_case
 from ddic.case.loader import LoadedCase, load_case
-from ddic.check.case import check_case_file, check_ranks, load_checked_case
-from ddic.check.mesh import check_mesh
+from ddic.check.case import check_case_file, check_mesh, check_ranks, load_checked_case
 from ddic.errors import InputError
 from ddic.mesh.structured import build_structured_mesh
 from support.cases import write_case, write_images

@@ -20,8 +20,7 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.region_rotation import fit_rigid_motion
-from ddic.problem.residual_model import HELD, STIFFNESS, FilledCells, fill_cells
+from ddic.problem.added_forces import HELD, STIFFNESS, FilledCells, fill_cells, fit_rigid_motion
 from support.pictures import square_mesh
 
 Array = NDArray[np.float64]

@@ -20,6 +20,7 @@ from ddic.problem.linear_solver import LONG_WAVELENGTH, MANY_SUBDOMAINS, LinearS
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.local_system import LocalSystem, MonolithicStep
+from ddic.solvers.petsc import PetscStack
 from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 from support.cases import write_case, write_images
 from support.petsc_objects import count_live_objects
@@ -73,7 +74,8 @@ def test_the_step_is_that_of_the_case(shared_path: Path, method: str, kind: type
     team = Team.world()
     problem, assembly = _prepare(team, shared_path, f'method = "{method}"')
     clock = PhaseClock()
-    with LinearSolver(team, problem.inputs.case, assembly, clock) as solver:
+    with PetscStack() as stack:
+        solver = stack.keep(LinearSolver(team, problem.inputs.case, assembly, clock))
         assert not solver.is_set_up
         solver.set_up()
         assert isinstance(solver.step, kind)
@@ -93,7 +95,8 @@ def test_a_renewed_solver_is_one_made_anew(shared_path: Path, method: str) -> No
     problem, assembly = _prepare(team, shared_path, f'method = "{method}"\nsubdomains = 6')
     n_own = len(problem.subdomains)
     changed = _heavier(problem, assembly, 4)
-    with _solver(team, problem, assembly) as solver:
+    with PetscStack() as stack:
+        solver = stack.keep(_solver(team, problem, assembly))
         before = _solve(problem, solver)
         assert solver.n_factorized == n_own
         solver.renew(changed)
@@ -103,7 +106,8 @@ def test_a_renewed_solver_is_one_made_anew(shared_path: Path, method: str) -> No
         assert solver.n_factorized == n_own + sum(system is not None for system in changed)
         solver.renew(assembly.systems)
         back = _solve(problem, solver)
-    with _solver(team, problem, renewed) as solver:
+    with PetscStack() as stack:
+        solver = stack.keep(_solver(team, problem, renewed))
         anew = _solve(problem, solver)
     # Krylov to 1e-12 of operators whose condition is below 1e4.
     assert _difference(team, found, anew) <= 1e-8
@@ -121,7 +125,8 @@ def test_a_renewal_that_fails_frees_all_and_can_be_made_good(shared_path: Path, 
     before = count_live_objects(team, shared_path)
     nothing = [replace(system, hessian=sparse.csr_matrix(system.hessian.shape)) if s.index in (1, 5) else None
                for s, system in zip(problem.subdomains, assembly.systems, strict=True)]
-    with _solver(team, problem, assembly) as solver:
+    with PetscStack() as stack:
+        solver = stack.keep(_solver(team, problem, assembly))
         expected = _solve(problem, solver)
         with pytest.raises(SingularSubdomainError) as caught:
             solver.renew(nothing)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.problem.region_rotation import HeldRotation, RigidMotion, fit_rigid_motion
+from ddic.problem.added_forces import HeldRotation, RigidMotion, fit_rigid_motion
 from support.cases import write_case, write_images
 from support.prepared import assemble_alike, prepare
 

@@ -19,8 +19,7 @@ from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
-from ddic.problem.assembly import Assembly
-from ddic.problem.renewal import CHANGED_SHARE, CHANGED_SIDE, HELD_SHARE, AssembledFrom, find_renewal
+from ddic.problem.assembly import CHANGED_SHARE, CHANGED_SIDE, HELD_SHARE, AssembledFrom, Assembly, find_renewal
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.local_system import LocalSystem
 from ddic.synth.fields import Translation

@@ -16,7 +16,7 @@ from ddic.images.threads import Threads
 from ddic.io.result_schema import CELL_DATA, POINT_DATA, RESIDUAL_IMAGE
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
-from ddic.problem import views
+from ddic.problem import reference_problem, residual_model
 from ddic.problem.reference_problem import list_own_cores, note_crowded_cores
 from support.cases import Ears, case_text, contents, write_case, write_images
 
@@ -79,7 +79,8 @@ def test_threads_of_the_case_reach_the_pixels_and_change_no_digit(shared_path: P
         made.append(n)
         return Threads(n)
 
-    monkeypatch.setattr(views, "Threads", threads)
+    for module in (reference_problem, residual_model):
+        monkeypatch.setattr(module, "Threads", threads)
     # So that there is something to share out on 81 cells and 192 rows.
     monkeypatch.setattr(correlation, "FEWEST", 4)
     monkeypatch.setattr(spline, "_BAND_ROWS", 32)

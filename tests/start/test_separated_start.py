@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.images.rigid import GridField, build_uniform_field
-from ddic.inputs.rectangle import Rectangle
+from ddic.problem.separated_problem import Rectangle
 from ddic.start.multilevel import MultilevelStart
 from ddic.start.separated_start import LOSS_PX, factorize_coarse_field
 from support.separated import lines

@@ -43,10 +43,10 @@ from ddic.partition.split import add_motions, keep_cameras_apart, split_by_block
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
-from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians, read_reference_views, weigh_cameras
 from ddic.problem.region_mesh import Region
-from ddic.problem.views import read_reference_views, weigh_cameras
 from ddic.solvers.linear_step import LinearStep, StepResult
+from ddic.solvers.petsc import PetscStack
 from support.linear import StepProblem, linear_step
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
 
@@ -145,7 +145,8 @@ class NearFarCut:
     @contextmanager
     def step(self) -> Iterator[LinearStep]:
         """The step that the case asks for."""
-        with LinearSolver(self.team, self.case, self.assembly, PhaseClock()) as solver:
+        with PetscStack() as stack:
+            solver = stack.keep(LinearSolver(self.team, self.case, self.assembly, PhaseClock()))
             solver.set_up()
             yield solver.step
 

@@ -15,8 +15,8 @@ from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks
+from ddic.problem.reference_problem import project_hessians
 from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import project_hessians
 from ddic.solvers.local_system import LocalSystem
 
 

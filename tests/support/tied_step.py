@@ -39,10 +39,10 @@ from ddic.parallel.team import Team
 from ddic.partition.ties import Tying, tie_meshes
 from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
-from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians
+from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians, read_reference_views, weigh_cameras
 from ddic.problem.region_mesh import build_region_mesh, split_region
-from ddic.problem.views import read_reference_views, weigh_cameras
 from ddic.solvers.linear_step import LinearStep, StepResult
+from ddic.solvers.petsc import PetscStack
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
 
 Array = NDArray[np.float64]
@@ -127,7 +127,8 @@ class TiedCut:
     @contextmanager
     def step(self) -> Iterator[LinearStep]:
         """The step that the case asks for."""
-        with LinearSolver(self.team, self.case, self.assembly, PhaseClock()) as solver:
+        with PetscStack() as stack:
+            solver = stack.keep(LinearSolver(self.team, self.case, self.assembly, PhaseClock()))
             solver.set_up()
             yield solver.step
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.visibility.brightness import CELL_SHARE, GLOBAL_SHARE, GROSS_SHARE, choose_correction
+from ddic.visibility.match_reference import CELL_SHARE, GLOBAL_SHARE, GROSS_SHARE, choose_correction
 from ddic.visibility.seen_cells import SeenCells, find_typical_cell
 from support.seen import make_seen
 

@@ -14,7 +14,7 @@ from ddic.functionals.view import View
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
-from ddic.visibility.brightness import match_brightness
+from ddic.visibility.match_reference import match_brightness
 from ddic.visibility.seen_cells import collect_cells, find_typical_cell, measure_seen_cells
 from support.cases import write_case
 from support.fields import field_of

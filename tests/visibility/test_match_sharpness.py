@@ -12,8 +12,8 @@ from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
+from ddic.visibility.match_reference import UNLIKE, match_sharpness
 from ddic.visibility.seen_cells import TypicalCell
-from ddic.visibility.sharpness import UNLIKE, match_sharpness
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
 

@@ -17,7 +17,7 @@ from ddic.images.grey_levels import check_finite, find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import open_on_all_ranks
-from ddic.inputs.start_points import StartPoints, check_start_points
+from ddic.inputs.inputs import StartPoints, check_start_points
 from ddic.io.image_file import read_mask
 from ddic.io.mesh_file import convert_mesh
 from ddic.io.result_reader import Result

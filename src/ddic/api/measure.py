@@ -17,8 +17,7 @@ from ddic.api.options import Options, check_kinematics, choose_options, choose_t
 from ddic.case.loader import LoadedCase
 from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
-from ddic.check.case import check_ranks
-from ddic.check.mesh import check_mesh
+from ddic.check.case import check_mesh, check_ranks
 from ddic.errors import ConvergenceError, DdicError, InputError
 from ddic.images.grey_levels import find_saturation
 from ddic.images.sub_image import MaskedSource

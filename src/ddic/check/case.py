@@ -1,8 +1,12 @@
-"""All inputs of a case validated without solving, in one order, near-field images too, and for the ranks at hand."""
+"""All inputs of a case validated without solving, in one order, near-field images too, and for the ranks at hand.
+
+What is wrong with images is found in ``check/images.py``; here stand keys, points, the mesh with what refers to it, and
+ranks; and what inputs are that were found fit.
+"""
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +16,94 @@ from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.methods import find_method
 from ddic.case.named_files import list_cameras, list_named_files
 from ddic.case.own_outputs import check_output
-from ddic.case.schema import Case
-from ddic.check.images import check_decodable, check_images, check_texture
-from ddic.check.mesh import CheckedMesh, check_mesh_uses, check_most_ranks
-from ddic.check.near import check_near_mapping
-from ddic.check.report import CheckReport, describe_inputs
+from ddic.case.schema import Case, SolverSection
+from ddic.check.images import check_decodable, check_images, check_near_mapping, check_texture
 from ddic.errors import InputError, Problems
+from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import assign_cells, collect_measured_cells, open_cameras
-from ddic.inputs.mesh_source import build_mesh_anywhere, build_meshes
-from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
+from ddic.inputs.inputs import StartPoints, check_start_points, load_start_points, require_points_inside
+from ddic.inputs.mesh_source import NO_INNER_NODE, build_mesh_anywhere, build_meshes, check_wavelength_fits
 from ddic.io.image_file import open_image
 from ddic.io.input_file import FileStamps
 from ddic.io.result_reader import require_known_displacement
 from ddic.io.series_reader import read_frame_or_last
+from ddic.io.text_files import read_partition
+from ddic.mesh.cell_type import CELL_TYPES
+from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
+from ddic.mesh.repair import check_pixels
+from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
+from ddic.partition.split import split_by_blocks
 from ddic.partition.ties import Tying
+from ddic.problem.choose_solver import count_given_subdomains
+from ddic.problem.region_mesh import check_lines, describe_cut, describe_cut_off, list_discontinuities
 from ddic.solvers.petsc import require_packages
+
+
+@dataclass(frozen=True)
+class CheckedMesh:
+    """The mesh of a case.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        The whole mesh, pixels.
+    tying : Tying or None
+        How near fields' own meshes are tied in it; None where there are none.
+    pixel_counts : (n_cells,) array of int64
+        Pixels of each cell in the images that measure it.
+    """
+
+    mesh: Mesh
+    tying: Tying | None
+    pixel_counts: IntArray
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What the inputs of a case are.
+
+    Attributes
+    ----------
+    image_size : (width, height)
+        Of the first camera's images, pixels.
+    bits : int or None
+        Bits per pixel of the images' integers; None for floats.
+    n_nodes, n_cells, n_dofs : int
+        Nodes and cells of the mesh, unknowns of the field.
+    cell_counts, node_sets : dict of int
+        Number of cells by name (T3, Q4), and of nodes by name of the set.
+    pixels_min, pixels_mean : int, float
+        Pixels of the cell that has fewest, and pixels per cell.
+    n_controlled_dofs : int
+        Unknowns that the equilibrium gap controls; 0 without regularization.
+    output : Path
+        The result file.
+    discontinuities : str or None
+        How much of the mesh they cut, where there are any.
+    half_amplitudes : HalfAmplitudes or None
+        Waves that the cut-off wavelength halves, pixels; None without one.
+    most_ranks : int
+        MPI ranks that can share the work, unless subdomains without texture join others.
+    """
+
+    image_size: tuple[int, int]
+    bits: int | None
+    n_nodes: int
+    n_cells: int
+    n_dofs: int
+    cell_counts: dict[str, int]
+    node_sets: dict[str, int]
+    pixels_min: int
+    pixels_mean: float
+    n_controlled_dofs: int
+    output: Path
+    discontinuities: str | None
+    half_amplitudes: HalfAmplitudes | None
+    most_ranks: int
 
 
 def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> LoadedCase:
@@ -94,7 +168,8 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
 
 def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, problems: Problems) -> StartPoints | None:
     """The points that the case starts from; None where there are none, or they are wrong."""
-    with problems.gathered(_case_of_points(loaded)):
+    # A table of points is named by what is said of it.
+    with problems.gathered(None if loaded.case.start.points is None else loaded.path):
         points = load_start_points(loaded.case.start)
         if points is not None and reference is not None:
             check_start_points(points, reference.width, reference.height)
@@ -102,9 +177,9 @@ def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, probl
     return None
 
 
-def _case_of_points(loaded: LoadedCase) -> Path | None:
-    """The case file where it holds the points itself; a table of points is named by what is said of it."""
-    return None if loaded.case.start.points is None else loaded.path
+def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
+    """Refuse, with an InputError, a number of ranks on which the case's method cannot measure it."""
+    find_method(loaded.case).check_ranks(loaded, n_ranks)
 
 
 def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
@@ -114,8 +189,8 @@ def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: Sta
     checked = _build_mesh(loaded, reference, problems)
     if checked is None:
         return None
-    with problems.gathered(_case_of_points(loaded)):
-        if points is not None:
+    if points is not None:
+        with problems.gathered(None if case.start.points is None else loaded.path):
             require_points_inside(points, checked.mesh)
     not_controlled = check_mesh_uses(loaded, checked, problems)
     # What is wrong already may be why nothing is seen; near images may show what the far one does not.
@@ -153,9 +228,8 @@ def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> IntArray:
     if not case.near:
         return rasterize(mesh).pixel_counts
     cameras = open_cameras(case, open_image)
-    far, *near_cameras = cameras
-    for near in near_cameras:
-        check_near_mapping(far, near)
+    for near in cameras[1:]:
+        check_near_mapping(cameras[0], near)
     labels = assign_cells(cameras, mesh, tying)
     counts = np.zeros(mesh.n_cells, dtype=np.int64)
     for measured in collect_measured_cells(cameras, mesh, labels):
@@ -163,9 +237,96 @@ def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> IntArray:
     return counts
 
 
-def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
-    """Refuse, with an InputError, a number of ranks on which the case's method cannot measure it."""
-    find_method(loaded.case).check_ranks(loaded, n_ranks)
+def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
+    """Check what a case with one camera asks of a mesh.
+
+    Raises InputError with a line for each problem: cells without pixels, node sets, cut-off wavelength, partition,
+    ranks.
+    """
+    problems = Problems()
+    check_mesh_uses(loaded, CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
+    if problems.lines:
+        raise InputError(problems.lines)
+    check_most_ranks(loaded, count_most_ranks(loaded.case, mesh), n_ranks)
+
+
+def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> IntArray:
+    """Check what refers to the mesh; ``problems`` takes what is found.
+
+    The nodes that are not controlled, (n,), are returned.
+    """
+    case = loaded.case
+    mesh = checked.mesh
+    with problems.gathered():
+        check_pixels(mesh, checked.pixel_counts, case.mesh.name)
+    not_controlled = np.zeros(0, np.int64)
+    section = case.regularization
+    if section is not None:
+        edge = find_boundary_nodes(mesh)
+        with problems.gathered(loaded.path):
+            boundary = edge if checked.tying is None else checked.tying.boundary
+            not_controlled = find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)
+        with problems.gathered(loaded.path):
+            _check_wavelength(section.cut_off_wavelength, mesh, edge)
+    with problems.gathered(loaded.path):
+        check_lines(case, mesh)
+    with problems.gathered():
+        if case.solver.partition_file is not None:
+            read_partition(case.solver.partition_file, mesh.n_cells)
+    with problems.gathered(loaded.path):
+        _check_number_of_subdomains(case.solver, mesh)
+    return not_controlled
+
+
+def _check_number_of_subdomains(solver: SolverSection, mesh: Mesh) -> None:
+    """Refuse more of them than cells; the schema lets only one of both keys be given."""
+    if solver.subdomains is not None and solver.subdomains > mesh.n_cells:
+        raise InputError(f"solver.subdomains = {solver.subdomains}: the mesh has only {mesh.n_cells} cells; ask for "
+                         "fewer subdomains")
+    if solver.blocks is not None and solver.blocks[0] * solver.blocks[1] > mesh.n_cells:
+        raise InputError(f"solver.blocks = {list(solver.blocks)}: {solver.blocks[0] * solver.blocks[1]} blocks of a "
+                         f"mesh of only {mesh.n_cells} cells; ask for fewer")
+
+
+def _check_wavelength(wavelength: float | None, mesh: Mesh, edge: IntArray) -> None:
+    """Refuse one that the mesh does not carry, and a mesh without inner nodes, which says nothing of any."""
+    if wavelength is None:
+        return
+    if len(edge) == mesh.n_nodes:
+        raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: {NO_INNER_NODE}")
+    check_wavelength_fits(wavelength, measure_cell_size(mesh))
+
+
+def count_most_ranks(case: Case, mesh: Mesh) -> int:
+    """Count the subdomains that a case, found fit, can have at most, of which every rank needs one.
+
+    There is one for a cell where the case leaves their number open.
+    """
+    solver = case.solver
+    if solver.method == "monolithic":
+        return 1
+    if solver.blocks is not None and not case.near:
+        # Those without cells are dropped; those with cells of several cameras become several.
+        return int(split_by_blocks(mesh, solver.blocks).max()) + 1
+    return count_given_subdomains(solver, mesh) or mesh.n_cells
+
+
+def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
+    """Refuse more ranks than the mesh can have subdomains: ``most``, as ``count_most_ranks`` says.
+
+    The InputError says what can be changed: only keys that the case gives.
+    """
+    if n_ranks <= most:
+        return
+    solver = loaded.case.solver
+    if solver.partition_file is not None:
+        what, remedy = f"{solver.partition_file}: {most} subdomains", "divide the mesh further there"
+    elif solver.blocks is not None:
+        what, remedy = f"{loaded.path}: solver.blocks: {most} blocks with cells", "ask for more of them"
+    else:
+        what, remedy = f"{loaded.path}: {most} cells of the mesh", "use smaller elements"
+    raise InputError(f"{what} for {n_ranks} MPI ranks, but every rank needs at least one; start at most {most} ranks "
+                     f"or {remedy}")
 
 
 def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
@@ -185,3 +346,41 @@ def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
         key = "solver.subdomains" if solver.blocks is None else "solver.blocks"
         raise InputError(f"{loaded.path}: {key}: {largest} subdomains for {n_ranks} MPI ranks, but every rank needs at "
                          f"least one; start at most {largest} ranks or ask for more subdomains")
+
+
+def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh, not_controlled: IntArray) -> CheckReport:
+    """Describe inputs that were found fit; ``not_controlled``, (n,), are nodes that are not controlled."""
+    mesh = checked.mesh
+    n_unknown_nodes = mesh.n_nodes if checked.tying is None else checked.tying.n_unknown_nodes
+    n_not_controlled = int((not_controlled < n_unknown_nodes).sum())
+    n_controlled_nodes = 0 if case.regularization is None else n_unknown_nodes - n_not_controlled
+    types, n_of_type = np.unique(mesh.types, return_counts=True)
+    return CheckReport(
+        image_size=(reference.width, reference.height),
+        bits=count_bits(reference),
+        n_nodes=mesh.n_nodes,
+        n_cells=mesh.n_cells,
+        n_dofs=mesh.dim * n_unknown_nodes,
+        cell_counts={CELL_TYPES[int(t)].name: int(n) for t, n in zip(types, n_of_type, strict=True)},
+        node_sets={name: len(nodes) for name, nodes in mesh.node_sets.items()},
+        pixels_min=int(checked.pixel_counts.min()),
+        pixels_mean=float(checked.pixel_counts.mean()),
+        n_controlled_dofs=mesh.dim * n_controlled_nodes,
+        output=case.output.file,
+        discontinuities=_describe_discontinuities(case, mesh),
+        half_amplitudes=describe_cut_off(case.regularization),
+        most_ranks=count_most_ranks(case, mesh),
+    )
+
+
+def _describe_discontinuities(case: Case, mesh: Mesh) -> str | None:
+    lines = list_discontinuities(case).lines
+    if lines:
+        return describe_cut(cut_mesh(mesh, lines))
+    return "1 line, to be found" if case.discontinuity else None
+
+
+def count_bits(image: ImageSource) -> int | None:
+    """Count the bits per pixel of an image; None for floats."""
+    saturation = image.saturation
+    return None if saturation is None else int(saturation).bit_length()

@@ -1,10 +1,12 @@
-"""Whether an image pair and its masks can be measured on, and show texture that outweighs rounding."""
+"""Whether images and masks can be measured on, show texture, and, near ones, what their mapping says."""
 
 from pathlib import Path
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from ddic.arrays import BoolArray
+from ddic.arrays import Array, BoolArray
 from ddic.case.named_files import list_deformed
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.errors import InputError, Problems
@@ -14,14 +16,13 @@ from ddic.images.grey_levels import (
     check_finite,
     check_noise,
     check_varied,
-    find_saturation,
     list_spread_bands,
     measure_grey_levels,
     read_all,
 )
 from ddic.images.source import ImageSource
-from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
+from ddic.inputs.cameras import Camera, exclude_masked, find_image_corners
 from ddic.inputs.mesh_source import check_weight_fits
 from ddic.io.image_file import ImageFile, hold_image, read_mask
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
@@ -40,6 +41,21 @@ of all runs come to no field, for other places of the image match as well."""
 LARGEST_PROBE = 1000
 """Side of the part of the image whose texture is measured, pixels, in the middle of the mesh. A larger value takes
 longer."""
+
+LEAST_COEFFICIENT = 0.3
+"""Correlation of a near reference image with the far one below which it does not show what its mapping says: unrelated
+images stay below 0.1, right ones are above 0.8, where the far image resolves what the near one shows. A larger value
+refuses more."""
+
+COARSEST_SPECKLE = 15
+"""Far-field pixels over which the mean is taken off before images are compared. A larger value compares light and holes
+rather than speckle."""
+
+LARGEST_NEAR_PROBE = 1500
+"""Side of the part of a near image that is compared, pixels. A larger value reads more of it."""
+
+LEAST_HALF_PROBE = 4
+"""Least half side of that part, far-field pixels, however much a near image magnifies."""
 
 
 def check_images(images: ImagesSection | NearSection, problems: Problems) -> ImageSource | None:
@@ -73,8 +89,10 @@ def _check_other_image(path: Path, mask_path: Path | None, reference: ImageSourc
         if must_vary:
             check_varied(image)
     with problems.gathered():
-        if reference is not None:
-            _check_same_size(reference, image)
+        if reference is not None and (reference.width, reference.height) != (image.width, image.height):
+            raise InputError(f"{image.path}: the image is {image.width}x{image.height} px, but the "
+                             f"reference {reference.path} is {reference.width}x{reference.height} px; "
+                             "give a pair of one size")
 
 
 def check_decodable(images: ImagesSection | NearSection, problems: Problems) -> None:
@@ -122,13 +140,6 @@ def _leaves_too_few(is_used: BoolArray) -> bool:
     return int(np.count_nonzero(is_used)) < min(LEAST_LEFT, is_used.size / 2)
 
 
-def _check_same_size(reference: ImageSource, deformed: ImageSource) -> None:
-    if (reference.width, reference.height) != (deformed.width, deformed.height):
-        raise InputError(f"{deformed.path}: the image is {deformed.width}x{deformed.height} px, but the "
-                         f"reference {reference.path} is {reference.width}x{reference.height} px; "
-                         "give a pair of one size")
-
-
 def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
     """Check that pixels of the mesh are left to measure by, and that the regularization does not drown them.
 
@@ -137,7 +148,7 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
     carries.
     """
     images = case.images
-    window = _find_window(mesh, reference)
+    window = _bound(mesh.nodes).intersection(reference.extent)
     if images.reference_mask is not None or images.exclude_saturated:
         usable = _find_usable(case, reference, mesh, window)
         if _leaves_too_few(usable):
@@ -156,20 +167,15 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
         check_weight_fits(section.eta, lame + 2 * shear, texture, measure_cell_size(mesh))
 
 
-def _find_window(mesh: Mesh, reference: ImageSource) -> Window:
-    """Pixels of the mesh's bounding box."""
-    low, high = np.ceil(mesh.nodes.min(axis=0)).astype(int), np.floor(mesh.nodes.max(axis=0)).astype(int)
-    return Window.between(low, high + 1).intersection(reference.extent)
+def _bound(points: Array) -> Window:
+    """Pixels in the box about some points."""
+    low, high = np.ceil(points.min(axis=0)).astype(int), np.floor(points.max(axis=0)).astype(int)
+    return Window.between(low, high + 1)
 
 
 def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
     """Pixels of a window that lie in the mesh and count."""
-    images = case.images
-    saturated_from = None
-    if images.exclude_saturated:
-        saturated_from = find_saturation(reference) if images.saturation is None else images.saturation
-    mask = None if images.reference_mask is None else hold_image(images.reference_mask)
-    counted = MaskedSource(reference, mask, saturated_from).find_usable(window)
+    counted = exclude_masked(reference, case.images, case.images.reference_mask, hold_image).find_usable(window)
     covered = rasterize(mesh).find_covered(reference.width, reference.height)[window.y0:window.y1, window.x0:window.x1]
     return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
 
@@ -193,3 +199,79 @@ def _shrink(window: Window) -> Window:
     """The middle of a window."""
     lower = window.lower + np.maximum(np.array(window.sizes) - LARGEST_PROBE, 0) // 2
     return Window.between(lower, np.minimum(lower + LARGEST_PROBE, window.upper))
+
+
+def check_near_mapping(far: Camera, near: Camera) -> None:
+    """Check that a near camera's reference image shows what the far one shows there.
+
+    Raises InputError where the mapping puts the near image outside the far one, mirrors it, or puts it in a wrong
+    place.
+    """
+    far_path = far.reference.image.path
+    place = f"{near.entry}: {near.reference.image.path}"
+    seen = _bound(near.setup.mapping.to_specimen(find_image_corners(near.reference.image)))
+    common = seen.intersection(far.reference.extent)
+    if common.width < 2 or common.height < 2:
+        raise InputError(f"{place} lies outside the far-field image {far_path} by its mapping (columns {seen.x0} "
+                         f"to {seen.x1 - 1}, rows {seen.y0} to {seen.y1 - 1}); find the mapping with ddic calibrate")
+    if _measure_area_ratio(near) <= 0:
+        raise InputError(f"{place}: its mapping turns the image over; mirror the images, or correct the mapping")
+    coefficient = _correlate_references(far, near, common)
+    if coefficient < LEAST_COEFFICIENT:
+        raise InputError(f"{place} does not show what the far-field image {far_path} shows where its mapping "
+                         f"puts it (correlation coefficient {coefficient:.2f}); find the mapping with ddic calibrate")
+
+
+def _measure_area_ratio(near: Camera) -> float:
+    """Area of a far pixel in the middle of the near image, near pixels; negative where the mapping mirrors."""
+    jacobians = near.setup.mapping.jacobian(near.setup.centre[None])
+    return float(np.linalg.det(jacobians[0]))
+
+
+def _correlate_references(far: Camera, near: Camera, common: Window) -> float:
+    """Correlation coefficient of the reference images at far pixels near the middle of a window."""
+    # Near pixels a far pixel, along a side.
+    magnification = float(np.sqrt(_measure_area_ratio(near)))
+    window = _choose_probe(near.setup.centre, magnification, common)
+    seen = near.setup.mapping.to_image(_list_pixels(window))
+    near_values, is_inside = _sample_blurred(near.reference.image, seen, magnification)
+    far_values = np.asarray(far.reference.image.read(window), dtype=np.float32)
+    near_speckle = _speckle(near_values.reshape(far_values.shape)).ravel()[is_inside]
+    far_speckle = _speckle(far_values).ravel()[is_inside]
+    if len(near_speckle) < 2 or near_speckle.std() == 0 or far_speckle.std() == 0:
+        return 0.0
+    return float(np.corrcoef(near_speckle, far_speckle)[0, 1])
+
+
+def _choose_probe(centre: Array, magnification: float, common: Window) -> Window:
+    """The part of a window that is compared: around the middle of the near image, far-field pixels."""
+    half = max(int(LARGEST_NEAR_PROBE / magnification / 2), LEAST_HALF_PROBE)
+    x = int(np.clip(round(centre[0]), common.x0, common.x1 - 1))
+    y = int(np.clip(round(centre[1]), common.y0, common.y1 - 1))
+    return Window((x - half, y - half), (x + half, y + half)).intersection(common)
+
+
+def _list_pixels(window: Window) -> Array:
+    """Positions of all pixels of a window, row after row, (n, 2)."""
+    rows, columns = np.mgrid[window.y0:window.y1, window.x0:window.x1]
+    return np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
+
+
+def _sample_blurred(image: ImageSource, points: Array, magnification: float) -> tuple[NDArray[np.float32], BoolArray]:
+    """An image averaged over far pixels, at the pixels nearest to some points, (n,), and whether each lies in it."""
+    low = np.floor(points.min(axis=0)).astype(int) - 1
+    high = np.ceil(points.max(axis=0)).astype(int) + 2
+    part = Window.between(low, high).intersection(image.extent)
+    side = max(round(magnification), 1)
+    values = cv2.blur(np.asarray(image.read(part), dtype=np.float32), (side, side))
+    first_pixel = (part.x0, part.y0)
+    last_pixel = (part.x1 - 1, part.y1 - 1)
+    is_inside = ((points >= first_pixel) & (points <= last_pixel)).all(axis=1)
+    last_place = (part.width - 1, part.height - 1)
+    nearest = np.rint(np.clip(points - first_pixel, 0, last_place)).astype(int)
+    return np.asarray(values[nearest[:, 1], nearest[:, 0]]), is_inside
+
+
+def _speckle(image: NDArray[np.float32]) -> Array:
+    """An image without what is wider than speckle: light and holes are alike in wrong places too."""
+    return np.asarray(image - cv2.blur(image, (COARSEST_SPECKLE, COARSEST_SPECKLE)), dtype=np.float64)

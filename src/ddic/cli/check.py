@@ -12,7 +12,7 @@ from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.case.schema import Case
-    from ddic.check.report import CheckReport
+    from ddic.check.case import CheckReport
 
 
 ENDINGS = (".png", ".pdf", ".svg")
@@ -63,7 +63,7 @@ def _draw(case: Case, drawing: Path) -> None:
     from ddic.plots.canvas import save_figure
     from ddic.plots.maps import read_preview
     from ddic.plots.partition import draw_mesh_preview
-    from ddic.problem.cut_region import list_discontinuities
+    from ddic.problem.region_mesh import list_discontinuities
 
     reference = open_image(case.images.reference)
     mesh = find_method(case).build_result_mesh(case, reference.width, reference.height)

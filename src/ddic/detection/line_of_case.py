@@ -25,7 +25,7 @@ from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree, measure_distance
 from ddic.mesh.quality import measure_cell_size
-from ddic.problem.cut_region import cut_by_lines, list_discontinuities, list_tip_functions
+from ddic.problem.region_mesh import cut_by_lines, list_discontinuities, list_tip_functions
 from ddic.start.coarse_displacement import CutField
 from ddic.start.given_start import extrapolate
 from ddic.start.independent import Images

@@ -112,17 +112,17 @@ def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
 
     ``number`` is that of the frame of a series, from 0. Raises InputError where a file cannot be read.
     """
-    return tuple(_masked(opener, section, list_deformed(section)[number], section.deformed_mask)
+    return tuple(exclude_masked(opener(list_deformed(section)[number]), section, section.deformed_mask, opener)
                  for section in list_cameras(case))
 
 
 def _open_reference(section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:
-    return _masked(opener, section, section.reference, section.reference_mask)
+    return exclude_masked(opener(section.reference), section, section.reference_mask, opener)
 
 
-def _masked(opener: Opener, section: ImagesSection | NearSection, path: Path, mask: Path | None) -> MaskedSource:
-    """One of a section's images with what is left out of it."""
-    image = opener(path)
+def exclude_masked(image: ImageSource, section: ImagesSection | NearSection, mask: Path | None,
+               opener: Opener) -> MaskedSource:
+    """Leave out of one of a section's images what is saturated, if that is asked for, and what a mask hides."""
     saturated_from = None
     if section.exclude_saturated:
         saturated_from = find_saturation(image) if section.saturation is None else section.saturation
@@ -134,15 +134,15 @@ def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKi
 
     ``mapping`` leads from the specimen's frame to the camera's pixels, ``motion`` is how the set-up may move.
     """
-    corners = list_corners(reference.image)
+    corners = find_image_corners(reference.image)
     seen = mapping.to_specimen(corners)
     centre = mapping.to_specimen(corners.mean(axis=0, keepdims=True))[0]
     farthest = float(np.linalg.norm(seen - centre, axis=1).max())
     return CameraSetup(mapping, motion, centre, farthest)
 
 
-def list_corners(image: ImageSource) -> Array:
-    """List the centres of the pixels at an image's corners, (4, 2), around it."""
+def find_image_corners(image: ImageSource) -> Array:
+    """Find the centres of the pixels at an image's corners, (4, 2), around it."""
     right, bottom = image.width - 1.0, image.height - 1.0
     return np.array([[0.0, 0.0], [right, 0.0], [right, bottom], [0.0, bottom]])
 

@@ -13,8 +13,7 @@ from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
-from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import read_frame_windows
+from ddic.problem.residual_model import ResidualModel, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import Measurement, finish_measurement, last_field_kept
@@ -24,14 +23,15 @@ from ddic.start.coarse_field import prepare_search
 from ddic.start.frame_start import FrameStart, KnownStart, find_start
 from ddic.visibility.exclusions import exclude, pull_held_cells
 from ddic.visibility.noise_forces import measure_force_noise
-from ddic.visibility.see_frame import SeenFrame, see_start
 from ddic.visibility.solved_frame import (
     SETTLED,
     Looks,
+    SeenFrame,
     SolvedFrame,
     accept_noise,
     begin_frame,
     see_solved_frame,
+    see_start,
     solve_further,
 )
 
@@ -50,12 +50,12 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, listen
     """
     with clock.phase(Phase.READ):
         whole.team.together(lambda: read_frame_windows(whole.views, q))
-    cameras, case = problem.reference.inputs.cameras, problem.reference.inputs.case
     with clock.phase(Phase.RESIDUAL):
-        seen, of_blur = see_start(case, cameras, whole, q, problem.slopes)
+        seen, of_blur = see_start(problem, whole, q)
     if (shown := seen.measure_shown_share()) < least_shown:
         raise as_collective(ConvergenceError(f"{shown:.0%} of the elements are seen where the start puts them"))
-    model, is_regularized = seen.whole.with_large_gradients(q), case.regularization is not None
+    model = seen.whole.with_large_gradients(q)
+    is_regularized = problem.reference.inputs.case.regularization is not None
     # Most of what is excluded at a start is seen where a field is roughly found: M waits until then.
     model, notes = problem.fit(model if is_regularized else _use(model, seen, q), q)
     model, notes = _use(model, seen, q) if is_regularized else model, (*of_blur, *notes)

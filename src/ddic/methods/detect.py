@@ -15,7 +15,7 @@ from ddic.methods.dd_dic import DecomposedSession
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team, require_held
-from ddic.problem.cut_region import refuse_kinematics
+from ddic.problem.region_mesh import refuse_kinematics
 from ddic.results.listener import Listener, WithoutNotes, note_all
 from ddic.results.measurement import Measurement, gather_displacement
 from ddic.start.frame_start import KnownStart

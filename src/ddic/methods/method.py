@@ -8,12 +8,11 @@ from typing import Any, Protocol, Self
 from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method
 from ddic.case.schema import Case
-from ddic.check.report import CheckReport
+from ddic.check.case import CheckReport
 from ddic.errors import Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame
-from ddic.inputs.inputs import Inputs
-from ddic.inputs.start_points import StartPoints
+from ddic.inputs.inputs import Inputs, StartPoints
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.stop_request import stop_if_asked

@@ -4,20 +4,26 @@ from typing import Self
 
 from ddic.case.loader import LoadedCase
 from ddic.case.schema import Case
-from ddic.check.report import CheckReport, describe_rectangle
+from ddic.check.case import CheckReport, count_bits
 from ddic.errors import InputError, Problems
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import Frame
-from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import build_rectangle, check_rectangle, choose_output_lines
-from ddic.inputs.start_points import StartPoints
+from ddic.inputs.inputs import Inputs, StartPoints
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import GridLines
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
-from ddic.problem.separated_problem import prepare_separated_problem
+from ddic.problem.region_mesh import describe_cut_off
+from ddic.problem.separated_problem import (
+    Rectangle,
+    build_rectangle,
+    check_rectangle,
+    choose_controlled_lines,
+    choose_output_lines,
+    prepare_separated_problem,
+)
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import last_field_kept
 from ddic.results.separated import SeparatedMeasurement, finish_separated
@@ -109,7 +115,7 @@ class SuccessiveProducts:
         with problems.gathered(loaded.path):
             rectangle = build_rectangle(loaded.case)
             check_rectangle(loaded.case, rectangle, reference.width, reference.height)
-            return describe_rectangle(loaded.case, reference, rectangle)
+            return _describe_rectangle(loaded.case, reference, rectangle)
         return None
 
     def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
@@ -124,3 +130,33 @@ class SuccessiveProducts:
 
 
 METHOD = SuccessiveProducts()
+
+
+def _describe_rectangle(case: Case, reference: ImageSource, rectangle: Rectangle) -> CheckReport:
+    """Describe inputs with [pgd] that were found fit."""
+    n_nodes = rectangle.along_x.n_nodes * rectangle.along_y.n_nodes
+    n_cells = (rectangle.along_x.n_nodes - 1) * (rectangle.along_y.n_nodes - 1)
+    of_x, of_y = (line.count_pixels() for line in (rectangle.along_x, rectangle.along_y))
+    n_controlled = n_nodes
+    section = case.regularization
+    if section is None:
+        n_controlled = 0
+    elif section.operator == "equilibrium_gap":
+        lines = choose_controlled_lines(section, rectangle)
+        n_controlled = int(lines.x.sum()) * int(lines.y.sum())
+    return CheckReport(
+        image_size=(reference.width, reference.height),
+        bits=count_bits(reference),
+        n_nodes=n_nodes,
+        n_cells=n_cells,
+        n_dofs=2 * n_nodes,
+        cell_counts={"Q4": n_cells},
+        node_sets={},
+        pixels_min=int(of_x.min() * of_y.min()),
+        pixels_mean=float(of_x.mean() * of_y.mean()),
+        n_controlled_dofs=2 * n_controlled,
+        output=case.output.file,
+        discontinuities=None,
+        half_amplitudes=describe_cut_off(section),
+        most_ranks=N_BANDS,
+    )

@@ -7,6 +7,7 @@ from math import ceil
 from ddic.case.schema import SolverSection
 from ddic.inputs.inputs import Inputs, SolverChoice
 from ddic.io.text_files import read_partition
+from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team, require_held
@@ -66,11 +67,8 @@ def weigh_candidates(region_mesh: RegionMesh, n_ranks: int, memory: int) -> Solv
     room = OF_MEMORY * (memory - PIXEL_BYTES * region_mesh.costs.sum() / n_ranks)
     fitting = [found for found in costs if found.memory <= room]
     chosen = fitting[0] if fitting else min(costs, key=lambda found: found.memory)
-    solver = _state(case.solver, chosen)
     limit = _limit_iterations(chosen, fitting, case.solver)
-    if chosen.candidate.method == "conjugate_gradient" and limit is None:
-        most = max(case.solver.max_iterations, ceil(OF_PREDICTED * chosen.n_iterations))
-        solver = solver.model_copy(update={"max_iterations": most})
+    solver = _state(case.solver, chosen, limit)
     note = _describe(task, chosen, [found for found in costs if found is not chosen], room)
     return SolverChoice(case, case.model_copy(update={"solver": solver}), note, limit)
 
@@ -87,7 +85,8 @@ def _describe_task(region_mesh: RegionMesh, n_ranks: int) -> StepTask:
 
 def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[StepCandidate]:
     """What can solve the case."""
-    given = _count_given_subdomains(region_mesh)
+    whole = region_mesh.mesh if region_mesh.discontinuous is None else region_mesh.discontinuous.whole
+    given = count_given_subdomains(region_mesh.inputs.case.solver, whole)
     fewest = given or max(task.n_ranks, len(region_mesh.inputs.cameras))
     yield from _list_dual(region_mesh, task, fewest, is_given=given is not None)
     if _is_dual_wanted(region_mesh):
@@ -117,13 +116,11 @@ def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given
             yield StepCandidate("dual", count, "two_level")
 
 
-def _count_given_subdomains(region_mesh: RegionMesh) -> int | None:
-    """Number of subdomains that the case gives; None where it gives none."""
-    solver, cut = region_mesh.inputs.case.solver, region_mesh.discontinuous
+def count_given_subdomains(solver: SolverSection, whole: Mesh) -> int | None:
+    """Count the subdomains that a case gives for a mesh without cut cells; None where it gives no number."""
     if solver.blocks is not None:
         return solver.blocks[0] * solver.blocks[1]
     if solver.partition_file is not None:
-        whole = region_mesh.mesh if cut is None else cut.whole
         return int(read_partition(solver.partition_file, whole.n_cells).max()) + 1
     return solver.subdomains
 
@@ -151,7 +148,7 @@ def _are_iterations_predictable(region_mesh: RegionMesh) -> bool:
     return _is_plain(region_mesh) and (section is None or section.eta is None)
 
 
-def _state(solver: SolverSection, chosen: StepCosts) -> SolverSection:
+def _state(solver: SolverSection, chosen: StepCosts, limit: int | None) -> SolverSection:
     """The section that says what was chosen; a number of subdomains stays as it was given."""
     candidate = chosen.candidate
     changes: dict[str, object] = {"method": candidate.method}
@@ -159,6 +156,8 @@ def _state(solver: SolverSection, chosen: StepCosts) -> SolverSection:
         changes["preconditioner"] = candidate.preconditioner
         if solver.partition == "metis":
             changes["subdomains"] = candidate.n_subdomains
+    if candidate.method == "conjugate_gradient" and limit is None:
+        changes["max_iterations"] = max(solver.max_iterations, ceil(OF_PREDICTED * chosen.n_iterations))
     return solver.model_copy(update=changes)
 
 

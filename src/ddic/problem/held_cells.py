@@ -12,7 +12,7 @@ about it along.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import numpy as np
@@ -71,34 +71,6 @@ SMOOTHED = 1
 where those of g do not: one over 3 px puts corners 0.1 to 0.3 px off, more than noise of 16 grey levels does."""
 
 
-@dataclass(frozen=True)
-class Limits:
-    """From which displacement error on a residual is not believed.
-
-    Attributes
-    ----------
-    cell, pixel : float
-        Of a whole cell, and about a pixel, pixels.
-    searched : float
-        Of a cell from which on single pixels of it are looked at, pixels.
-    beside : float
-        Distance up to which a cell that is seen beside where it is put counts nevertheless, pixels.
-    """
-
-    cell: float
-    pixel: float
-    searched: float
-    beside: float
-
-
-AT_START, AT_END = Limits(0.8, 1.0, 0.8, CAPTURED), Limits(0.6, 0.5, 0.15, np.inf)
-"""Where the field is a start, and where it is found, which mechanics may hold off by any distance. Real images of
-coarse meshes leave 0.46 px in a cell of little texture at the edge of a hole, and less than 0.3 px elsewhere."""
-
-NO_LIMITS = Limits(np.inf, np.inf, np.inf, np.inf)
-"""Where any residual is believed."""
-
-
 @dataclass(frozen=True, eq=False)
 class HeldCells:
     """Cells of a view that are held off, and where the frame shows them.
@@ -127,7 +99,7 @@ class HeldCells:
 
     def keep(self, before: Self, view: View, q: Array) -> Self:
         """Keep also those of an earlier look that are still far away, seen there, and not among these."""
-        kept = (measure_distance(before.measure_away(view, q)) > RELEASED) & ~np.isin(before.cells, self.cells)
+        kept = (measure_mean_distance(before.measure_away(view, q)) > RELEASED) & ~np.isin(before.cells, self.cells)
         return type(self)(np.concatenate([self.cells, before.cells[kept]]),
                           np.concatenate([self.shown_at, before.shown_at[kept]]))
 
@@ -152,7 +124,7 @@ class PulledView:
         """Forces on the subdomain's unknowns, (n_unknowns,)."""
         interpolation, held = self.view.correlation.interpolation, self.held
         away = held.measure_away(self.view, q)
-        distance = measure_distance(away)
+        distance = measure_mean_distance(away)
         captured = away * (CAPTURED / np.maximum(distance, CAPTURED))[:, None, None]
         forces = np.zeros(interpolation.n_dofs)
         np.add.at(forces, interpolation.cell_dofs[held.cells],
@@ -184,11 +156,6 @@ def sum_pulls(pulled: ByView[PulledView | None], q: Sequence[Array]) -> list[Arr
             for of_views, q_s in zip(pulled, q, strict=True)]
 
 
-def keep_other_cells(pulled: ByView[PulledView | None], residuals: ByView[Residual]) -> ByView[Residual]:
-    """Keep the residuals of cells that are not pulled."""
-    return pulled.map(lambda view, residual: residual if view is None else view.keep_others(residual), residuals)
-
-
 def find_cells_beside(view: FrameView, q: Array, cells: IntArray, noise: float) -> dict[int, Array]:
     """Find the cells that the frame shows beside where unknowns put them, not far off.
 
@@ -198,31 +165,30 @@ def find_cells_beside(view: FrameView, q: Array, cells: IntArray, noise: float) 
     """
     correlation = view.correlation
     mesh = correlation.mesh
-    corners = dict(zip(cells.tolist(), pad_cells(mesh)[cells], strict=True))
-    squares = {cell: _place_square(mesh.nodes[of_cell], correlation.extent) for cell, of_cell in corners.items()}
-    # From the whole image, without anything masked: neither the cut into subdomains nor what is hidden has a say.
-    squares = {cell: square for cell, square in squares.items() if _is_whole(correlation.source.find_usable(square))}
-    if not squares:
-        return {}
     moved = mesh.nodes + view.kinematics.displacement(q).reshape(mesh.nodes.shape)
-    motions = {cell: _fit_motion(mesh.nodes[corners[cell]], moved[corners[cell]]) for cell in squares}
     found = {}
-    for cell, square in squares.items():
+    for cell, corners in zip(cells.tolist(), pad_cells(mesh)[cells], strict=True):
+        square = _place_square(mesh.nodes[corners], correlation.extent)
+        # From the whole image, without anything masked: neither the cut into subdomains nor what is hidden has a say.
+        usable = correlation.source.find_usable(square)
+        if not (usable is None or usable.all()):
+            continue
+        motion = _fit_motion(mesh.nodes[corners], moved[corners])
         f = np.ascontiguousarray(correlation.source.image.read(square), dtype=np.float32)
         is_own = correlation.raster.draw_cells(np.array([cell]), square) > 0
         about = square.grow(REACH)
-        g = view.deformed.read_aside(_displace_box(motions[cell], about))
-        affine = _seek(f, _displace(g, motions[cell], about), is_own, noise)
+        g = view.deformed.read_aside(_displace_box(motion, about))
+        affine = _seek(f, _displace(g, motion, about), is_own, noise)
         if affine is None:
             continue
-        put = mesh.nodes[corners[cell]] - [square.x0, square.y0]
+        put = mesh.nodes[corners] - [square.x0, square.y0]
         away = put @ affine[:, :2].T + affine[:, 2] - put
-        if measure_distance(away) >= BESIDE:
+        if measure_mean_distance(away) >= BESIDE:
             found[cell] = away
     return found
 
 
-def measure_distance(away: Array) -> Array:
+def measure_mean_distance(away: Array) -> Array:
     """Mean distance of the corners of cells, (..., 4, 2), pixels; (...)."""
     return np.asarray(np.linalg.norm(away, axis=-1).mean(axis=-1))
 
@@ -282,10 +248,6 @@ def _place_square(nodes: Array, extent: Window) -> Window:
     """The box about some nodes, at least SMALLEST wide, within an extent."""
     centre, half = nodes.mean(axis=0), np.maximum(np.ptp(nodes, axis=0), SMALLEST) / 2
     return Window.between(np.floor(centre - half), np.ceil(centre + half)).intersection(extent)
-
-
-def _is_whole(usable: NDArray[Any] | None) -> bool:
-    return usable is None or bool(usable.all())
 
 
 def _fit_motion(nodes: Array, moved: Array) -> Array:

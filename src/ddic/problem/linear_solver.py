@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -30,7 +28,7 @@ larger value keeps one level for longer."""
 
 
 class LinearSolver:
-    """The linear step of a case, factorised by ``set_up``; use it in a ``with`` statement, which frees PETSc's objects.
+    """The linear step of a case, factorised by ``set_up``; ``destroy`` frees PETSc's objects.
 
     Parameters
     ----------
@@ -64,15 +62,9 @@ class LinearSolver:
         self._most_iterations = most_iterations
         self._notes: list[str] = []
         self._team, self._case, self._clock = team, case, clock
-        self._operators: list[LocalOperator] = []
+        # By the place of their subdomain among this rank's.
+        self._operators: dict[int, LocalOperator] = {}
         self._step: LinearStep | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.destroy()
 
     @property
     def step(self) -> LinearStep:
@@ -112,7 +104,13 @@ class LinearSolver:
         # The interface operators refer to the factors: they go first.
         self._free_step()
         try:
-            self._set_up(changed)
+            if self.method in LOCAL_FACTORS:
+                with self._clock.phase(Phase.FACTORIZE):
+                    self._factorize(changed)
+            else:
+                self.n_factorized += sum(changed)
+            with self._clock.phase(Phase.INTERFACE_SET_UP if self.method == "dual" else Phase.FACTORIZE):
+                self._step = self._make_step()
         except BaseException:
             # What was held before is held again at the next call, which then factorises all of it.
             self.destroy()
@@ -122,23 +120,14 @@ class LinearSolver:
     def destroy(self) -> None:
         """Free PETSc's objects."""
         self._free_step()
-        for operator in self._operators:
+        for operator in self._operators.values():
             operator.destroy()
-        self._operators = []
+        self._operators.clear()
 
     def _free_step(self) -> None:
         if self._step is not None:
             self._step.destroy()
         self._step = None
-
-    def _set_up(self, changed: Sequence[bool]) -> None:
-        if self.method in LOCAL_FACTORS:
-            with self._clock.phase(Phase.FACTORIZE):
-                self._factorize(changed)
-        else:
-            self.n_factorized += sum(changed)
-        with self._clock.phase(Phase.INTERFACE_SET_UP if self.method == "dual" else Phase.FACTORIZE):
-            self._step = self._make_step()
 
     def _make_step(self) -> LinearStep:
         """The step of Gauss-Newton; the local factors are there where it wants them."""
@@ -148,17 +137,15 @@ class LinearSolver:
         if self.method == "assembled":
             return AssembledStep(self._team, systems, self.assembly.smallest_eigenvalue)
         if self.method == "dual":
-            return self._make_dual_step()
+            subdomains = [system.subdomain for system in systems]
+            self.preconditioner = choose_preconditioner(self._team, self._case, subdomains)
+            settings = DualSettings(self.preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
+                                    solver.local_inverse)
+            operators = [self._operators[place] for place in range(len(systems))]
+            return DualStep(self._team, systems, operators, self.assembly.reaction_scale, settings, self._clock)
         most_iterations = self._most_iterations or solver.max_iterations
         step = ConjugateGradientStep(self._team, systems, solver.tolerance, most_iterations)
         return step if self._most_iterations is None else GuardedStep(step, self._factorize_instead)
-
-    def _make_dual_step(self) -> DualStep:
-        solver, systems = self._case.solver, self.assembly.systems
-        self.preconditioner = choose_preconditioner(self._team, self._case, [system.subdomain for system in systems])
-        settings = DualSettings(self.preconditioner, solver.tolerance, solver.max_iterations, solver.recycle,
-                                solver.local_inverse)
-        return DualStep(self._team, systems, self._operators, self.assembly.reaction_scale, settings, self._clock)
 
     def _factorize_instead(self, _: ConvergenceError) -> LinearStep:
         """The step that takes conjugate gradients' place where they take longer than predicted; collective."""
@@ -170,32 +157,19 @@ class LinearSolver:
 
     def _factorize(self, changed: Sequence[bool]) -> None:
         """Factorise A_s where it changed; old factors are freed before new ones need their memory."""
-        old: list[LocalOperator | None] = list(self._operators) or [None] * len(changed)
         for place, is_new in enumerate(changed):
-            operator = old[place]
-            if is_new and operator is not None:
-                operator.destroy()
-                old[place] = None
-        # In step with the systems as far as it goes, so that an error on any rank leaves nothing behind.
-        self._operators = [operator for operator in old if operator is not None]
+            if is_new and place in self._operators:
+                self._operators.pop(place).destroy()
 
-        def factorize() -> list[LocalOperator]:
-            operators = []
-            for system, kept in self._clock.note_each(list(zip(self.assembly.systems, old, strict=True))):
-                if kept is not None:
-                    operators.append(kept)
-                    continue
-                factored = self._factor(system)
-                self._operators.append(factored)
-                operators.append(factored)
-            return operators
+        def factorize() -> None:
+            for place, system in self._clock.note_each(list(enumerate(self.assembly.systems))):
+                if place not in self._operators:
+                    self.n_factorized += 1
+                    self._operators[place] = LocalOperator(
+                        system.without_motion.operator, smallest_eigenvalue=self.assembly.smallest_eigenvalue,
+                        where=_describe(system.subdomain))
 
-        self._operators = self._team.together(factorize)
-
-    def _factor(self, system: LocalSystem) -> LocalOperator:
-        self.n_factorized += 1
-        return LocalOperator(system.without_motion.operator, smallest_eigenvalue=self.assembly.smallest_eigenvalue,
-                             where=_describe(system.subdomain))
+        self._team.together(factorize)
 
 
 def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain]) -> Preconditioner:
@@ -206,15 +180,10 @@ def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain
     if case.solver.preconditioner != "auto":
         return case.solver.preconditioner
     wavelength = compute_cut_off_wavelength(case)
-    sides = team.gather_lists([_side(subdomain) for subdomain in subdomains])
+    # Of a square or cube as large as the subdomain's box, pixels.
+    sides = team.gather_lists([float(np.prod(np.ptp(s.mesh.nodes, axis=0)) ** (1 / s.mesh.dim)) for s in subdomains])
     is_slow = len(sides) >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * float(np.mean(sides))
     return "two_level" if is_slow else "scaled"
-
-
-def _side(subdomain: Subdomain) -> float:
-    """Side of a square or cube as large as the subdomain's box, pixels."""
-    extent = np.ptp(subdomain.mesh.nodes, axis=0)
-    return float(np.prod(extent) ** (1 / subdomain.mesh.dim))
 
 
 def _describe(subdomain: Subdomain) -> str:

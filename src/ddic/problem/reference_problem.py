@@ -6,17 +6,24 @@ Subdomains without texture join a neighbour: by themselves their operators would
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 from typing import TypeVar
 
 import numpy as np
+from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
+from ddic.case.schema import Case
 from ddic.errors import InputError, list_first
-from ddic.functionals.correlation import restrict_to_cells
+from ddic.functionals.correlation import read_correlations, restrict_to_cells
 from ddic.functionals.texture import Texture, find_blank_subdomains, measure_texture
 from ddic.functionals.view import View
-from ddic.inputs.cameras import Frame
+from ddic.images.threads import Threads
+from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs, UpdatedReference
+from ddic.kinematics.camera import place_before_camera
+from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.field import ByView
 from ddic.parallel.phases import Phase, PhaseClock
@@ -25,10 +32,14 @@ from ddic.partition.split import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.choose_solver import choose_solver
 from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
-from ddic.problem.views import Hessians, read_reference_views
 from ddic.solvers.petsc import describe_missing_packages
 
 T = TypeVar("T")
+
+V = TypeVar("V", bound=View)
+
+Hessians = ByView[sparse.csr_matrix]
+"""M of each view, on displacements of nodes in its image, (n_dofs, n_dofs)."""
 
 
 @dataclass(frozen=True)
@@ -104,16 +115,6 @@ def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None
     return problem, found
 
 
-def _describe_discontinuities(team: Team, region_mesh: RegionMesh | None) -> tuple[str, ...]:
-    """How much of the mesh is cut, where it is; collective."""
-
-    def describe() -> tuple[str, ...]:
-        region = require_held(region_mesh).discontinuous
-        return () if region is None else (f"discontinuities: {region.describe()}",)
-
-    return team.on_root(describe)
-
-
 def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, parts: IntArray | None,
                        clock: PhaseClock, notes: tuple[str, ...] = ()) -> ReferenceProblem:
     case = inputs.case
@@ -124,8 +125,7 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         n_pixels = sum(team.gather_lists([view.n_pixels for view in views.flat]))
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, clock.note_each(views))
-    lines = _describe_discontinuities(team, region_mesh)
-    notes = (*inputs.notes, *notes, *lines, *note_crowded_cores(team, case.solver.threads),
+    notes = (*inputs.notes, *notes, *region.notes, *note_crowded_cores(team, case.solver.threads),
              *describe_missing_packages(case.solver.method))
     return ReferenceProblem(inputs, region, subdomains, views, hessians, n_pixels, notes)
 
@@ -158,7 +158,12 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
         for number, members in enumerate(c for of_rank in require_held(cells) for c in of_rank):
             piece_of_cell[members] = number
         parts = merge_blank(piece_of_cell, owner, _adjacency_within_cameras(require_held(region_mesh)), blank)
-        _refuse_too_few(parts, len(np.unique(owner)), team.size)
+        n_before, n_left = len(np.unique(owner)), int(parts.max()) + 1
+        if n_left < team.size:
+            raise InputError(
+                f"{n_before - n_left} of {n_before} subdomains hold no texture and join a neighbour, which leaves "
+                f"{n_left} for {team.size} MPI ranks, but every rank needs at least one; start at most {n_left} ranks "
+                "or ask for more subdomains (solver.subdomains)")
         return parts
 
     parts = team.build_on_root(merge)
@@ -200,15 +205,6 @@ def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[IntArray, IntArr
     same = cameras[row] == cameras[indices]
     counts = np.bincount(row[same], minlength=len(indptr) - 1)
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[same]
-
-
-def _refuse_too_few(parts: IntArray, n_before: int, n_ranks: int) -> None:
-    n_left = int(parts.max()) + 1
-    if n_left < n_ranks:
-        raise InputError(
-            f"{n_before - n_left} of {n_before} subdomains hold no texture and join a neighbour, which leaves {n_left} "
-            f"for {n_ranks} MPI ranks, but every rank needs at least one; start at most {n_left} ranks or ask for more "
-            "subdomains (solver.subdomains)")
 
 
 def _describe(owner: IntArray, blank: BoolArray, n_left: int) -> str:
@@ -281,3 +277,57 @@ def _describe_first(team: Team, problem: ReferenceProblem) -> UpdatedReference:
     inputs = problem.inputs
     first_image = inputs.cameras[0].reference.image
     return UpdatedReference(nodes, np.zeros(nodes.shape), parts, first_image, inputs.build_mesh)
+
+
+def read_reference_views(case: Case, cameras: Sequence[Camera], subdomains: Sequence[Subdomain]) -> ByView[View]:
+    """Read the windows of the reference images that this rank's subdomains need; free of communication.
+
+    The views of a subdomain are that of its own camera first, then of others that see it as well. All cameras weigh 1.
+    Raises InputError where pixels of the mesh lie outside an image.
+    """
+    threads = Threads(case.solver.threads)
+    views: list[list[View]] = [[] for _ in subdomains]
+    for camera in cameras:
+        seen = [k for k, s in enumerate(subdomains) if _is_seen_by(camera, cameras, s)]
+        kinematics = [_kinematics_before(camera, cameras, subdomains[k]) for k in seen]
+        groups = read_correlations([k.mesh for k in kinematics], camera.reference, case.correlation.spline_degree,
+                                   threads)
+        numbered = [(number, correlation) for number, group in enumerate(groups) for correlation in group]
+        for place, of_subdomain, (number, correlation) in zip(seen, kinematics, numbered, strict=True):
+            views[place].append(View(correlation, of_subdomain, camera.number, number))
+    return ByView(sorted(of_subdomain, key=lambda view: view.camera != s.camera)
+                  for s, of_subdomain in zip(subdomains, views, strict=True))
+
+
+def _is_seen_by(camera: Camera, cameras: Sequence[Camera], subdomain: Subdomain) -> bool:
+    return subdomain.camera == camera.number or (camera.number == 0 and cameras[subdomain.camera].use_far)
+
+
+def _kinematics_before(camera: Camera, cameras: Sequence[Camera], subdomain: Subdomain) -> Kinematics:
+    """From a subdomain's unknowns to displacements in a camera's pixels."""
+    is_specimens_frame = camera.number == 0
+    if is_specimens_frame and subdomain.motion is None:
+        return subdomain.kinematics
+    setup = camera.setup if camera.number == subdomain.camera else camera.setup.hold_still()
+    numbers = None if subdomain.motion is None else subdomain.motion.numbers
+    return place_before_camera(subdomain.kinematics, setup, numbers)
+
+
+def project_hessians(views: ByView[V], hessians: Hessians) -> list[sparse.csr_matrix]:
+    """Add up the cameras' M in the unknowns of each subdomain: M_s, (n_unknowns, n_unknowns)."""
+    return add_matrices(views.map(View.project, hessians))
+
+
+def add_matrices(matrices: ByView[sparse.csr_matrix]) -> list[sparse.csr_matrix]:
+    """Add up the views of each owned subdomain, in their order."""
+    return [reduce(add, of_views).tocsr() for of_views in matrices]
+
+
+def hold_set_ups_still(subdomains: Sequence[Subdomain], views: ByView[V]) -> tuple[list[Subdomain], ByView[V]]:
+    """Give what each subdomain's own camera alone sees, in a set-up that does not move: the field's unknowns only."""
+    return [replace(s, motion=None) for s in subdomains], ByView([own.hold_still()] for own, *_ in views)
+
+
+def weigh_cameras(views: ByView[V], weights: Sequence[float]) -> ByView[V]:
+    """Give each camera its weight in the functional, of squared grey levels, no unit."""
+    return views.map(lambda view: replace(view, weight=weights[view.camera]))

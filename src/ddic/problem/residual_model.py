@@ -1,43 +1,36 @@
 """The residual f - g(x + u) of all subdomains in one frame: what Gauss-Newton asks of the images.
 
-Also whether a frame turns or stretches the specimen so much that the gradient of its own image is needed, and the
-elastic matter that takes the place of cells that are not shown and that nothing else holds.
+Also whether a frame turns or stretches the specimen so much that the gradient of its own image is needed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array
+from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.correlation import LARGE_SHARE, Residual, find_large_gradients
+from ddic.functionals.correlation import (
+    LARGE_SHARE,
+    Residual,
+    find_large_gradients,
+)
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums, measure_deviation
-from ddic.functionals.regularization import Material, integrate_cell_stiffness
-from ddic.functionals.view import FrameView
+from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur
-from ddic.kinematics.cell_interpolation import interpolate_cells
-from ddic.mesh.plane import build_rotation
+from ddic.images.sub_image import DeformedSubImage
+from ddic.images.threads import Threads
+from ddic.images.window import Window
+from ddic.inputs.cameras import Frame
 from ddic.parallel.field import ByView, Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.held_cells import PulledView, keep_other_cells, sum_pulls
-from ddic.problem.region_rotation import HeldRotation, fit_rigid_motion
-from ddic.problem.views import read_frame_windows
+from ddic.problem.added_forces import FilledCells, HeldRotation
+from ddic.problem.held_cells import PulledView, sum_pulls
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_correction, weigh_nodes
-
-STIFFNESS = 1e-4
-"""Young's modulus of filled cells, relative to the mean diagonal of M. They pull at the cells beside them: a larger
-value moves these, a smaller one worsens the operators' condition."""
-
-HELD = 1e-8
-"""What the operator of filled cells has on its diagonal beyond their stiffness, relative to the mean diagonal of M: a
-subdomain that is hidden altogether may move as a rigid body, and its operator must not be singular. Forces have nothing
-of it, so that it costs iterations only; a larger value costs more of them, where hundreds of cells are hidden in a row.
-"""
 
 
 @dataclass(frozen=True)
@@ -115,10 +108,10 @@ class ResidualModel:
         residuals = self.team.together(lambda: self._compute_residuals(q))
         if self.held_grey is not None:
             return Evaluation(residuals, self.held_grey)
-        sums = self._sum_by_camera(residuals, lambda residual: residual.sums.values)
+        sums = self.sum_by_camera(residuals.map(lambda residual: residual.sums.values))
         corrected: Sequence[Array | None] = [None] * self.n_cameras
         if self.correction == "element":
-            corrected = list(self._sum_by_camera(residuals, _sums_corrected_by_cell))
+            corrected = list(self.sum_by_camera(residuals.map(_sums_corrected_by_cell)))
         grey = [self._grey_state(GreySums(total), by_cell) for total, by_cell in zip(sums, corrected, strict=True)]
         return Evaluation(residuals, tuple(grey))
 
@@ -129,7 +122,10 @@ class ResidualModel:
         all_kinds = self.correction != "none"
         residuals = self.views.map(lambda view, q_s: view.compute_residual(q_s, all_kinds=all_kinds),
                                    self.views.fill(q))
-        return residuals if self.pulled is None else keep_other_cells(self.pulled, residuals)
+        if self.pulled is None:
+            return residuals
+        return self.pulled.map(lambda pulled, residual: residual if pulled is None else pulled.keep_others(residual),
+                               residuals)
 
     def assemble_right_hand_side(self, evaluation: Evaluation, q: Field) -> Field:
         """Assemble b, Eq. 7 of [BP17], grey levels squared per pixel, from the evaluation at q, on each rank."""
@@ -139,6 +135,11 @@ class ResidualModel:
             return followed.assemble_right_hand_side(residual, *self.find_correction(evaluation, view.camera, residual))
 
         return q.with_parts(add_views(self.views.map(assemble, evaluation.residuals, self.views.fill(q))))
+
+    def show(self, view: FrameView, q_s: Array) -> FrameView:
+        """Give a view of the pixels that unknowns of its subdomain do not hide, with the gradient that b takes."""
+        shown = view.without_hidden(q_s)
+        return shown.with_moved_gradient(q_s) if self.follows else shown
 
     def find_correction(self, evaluation: Evaluation, camera: int, residual: Residual) -> tuple[Array, Array]:
         """Find gain, no unit, and offset, grey levels, of a view's cells: one number, or one per cell, (n_cells,)."""
@@ -169,16 +170,15 @@ class ResidualModel:
         """Weigh corrections of nodes by what can be known of them, (n_nodes,) of each owned subdomain."""
         return None if self.deviations is None else weigh_nodes(self.deviations)
 
-    def _sum_by_camera(self, residuals: ByView[Residual], summed: Callable[[Residual], Array]) -> Array:
-        """Sums over the pixels of each camera, (n_cameras, n); collective."""
+    def sum_by_camera(self, values: ByView[Array]) -> Array:
+        """Sum what views have by their cameras, (n_cameras, ...); collective."""
 
-        def put_in_row(view: FrameView, residual: Residual) -> Array:
-            of_view = summed(residual)
-            rows = np.zeros((self.n_cameras, len(of_view)))
+        def put_in_row(view: FrameView, of_view: Array) -> Array:
+            rows = np.zeros((self.n_cameras, *of_view.shape))
             rows[view.camera] = of_view
             return rows
 
-        return self.team.ordered_sum(add_views(self.views.map(put_in_row, residuals)))
+        return self.team.ordered_sum(add_views(self.views.map(put_in_row, values)))
 
     def _grey_state(self, total: GreySums, corrected: Array | None) -> GreyState:
         """Statistics of a camera from the sums over its pixels; corrected: of the residual corrected by cell, (2,)."""
@@ -212,81 +212,27 @@ def is_deformation_large(team: Team, views: ByView[FrameView], q: Sequence[Array
     return bool(n_large > LARGE_SHARE * n_pixels)
 
 
-@dataclass(frozen=True, eq=False)
-class FilledCells:
-    """Elastic energy of the cells that a frame does not show, less that of the region's rigid motion.
+def open_frame_views(case: Case, frame: Frame, views: ByView[View]) -> ByView[FrameView]:
+    """Look at a frame; its windows are read when unknowns say where.
 
-    Attributes
-    ----------
-    of_nodes : tuple of (n_dofs, n_dofs) csr_matrix
-        Stiffness of the filled cells of each owned subdomain on displacements of nodes, not turned, grey levels
-        squared per pixel squared.
-    stiffness : tuple of (n_unknowns, n_unknowns) csr_matrix
-        The same on unknowns, turned as far as the region had when the operators were assembled.
-    held : float
-        What their operators have on the diagonal beyond it, grey levels squared per pixel squared.
+    Views that share a window of the reference share one of the frame.
     """
-
-    of_nodes: tuple[sparse.csr_matrix, ...]
-    stiffness: tuple[sparse.csr_matrix, ...]
-    held: float
-
-    def assemble_operator(self, number: int) -> sparse.csr_matrix:
-        """Assemble what the operator of an owned subdomain is given, (n_unknowns, n_unknowns).
-
-        It is in grey levels squared per pixel squared, and positive on each unknown of filled cells; ``number`` counts
-        owned subdomains.
-        """
-        stiffness = self.stiffness[number]
-        is_filled = stiffness.diagonal() > 0
-        return (stiffness + sparse.diags(self.held * is_filled)).tocsr()
-
-    def compute_forces(self, q: Field) -> Field:
-        """Compute the forces that b is given, grey levels squared per pixel; collective."""
-        motion = fit_rigid_motion(q)
-
-        def compute(subdomain: Subdomain, q_s: Array, of_nodes: sparse.csr_matrix) -> Array:
-            forces = np.zeros(subdomain.n_unknowns)
-            if of_nodes.nnz:
-                nodes = subdomain.mesh.nodes
-                field = subdomain.kinematics.displacement(q_s[:subdomain.n_field]).reshape(nodes.shape)
-                rest = (field - motion.evaluate(nodes)) @ motion.rotation
-                # Turned as the region is now: else the field would depend on where its operators were assembled.
-                pull = -(of_nodes @ rest.ravel()).reshape(nodes.shape) @ motion.rotation.T
-                forces[:subdomain.n_field] = subdomain.kinematics.project_vector(pull.ravel())
-            return forces
-
-        return q.map(compute, self.of_nodes)
+    threads = Threads(case.solver.threads)
+    windows: dict[tuple[int, int], DeformedSubImage] = {}
+    for view in views.flat:
+        windows.setdefault((view.camera, view.group),
+                           DeformedSubImage(frame[view.camera], case.correlation.spline_degree, threads))
+    return views.map(lambda view: view.open_frame(windows[view.camera, view.group]))
 
 
-def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[BoolArray], weight: float, angle: float) -> FilledCells:
-    """Give cells without pixels an elastic energy; free of communication.
-
-    ``cells``, (n_cells,), say which ones of each owned subdomain; ``weight`` is the mean diagonal of M, grey levels
-    squared per pixel squared, ``angle`` that by which the region has turned, radians.
-    """
-    of_nodes = tuple(_assemble(subdomain, chosen, STIFFNESS * weight)
-                     for subdomain, chosen in zip(subdomains, cells, strict=True))
-    stiffness = tuple(_turn(subdomain, matrix, angle) for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
-    return FilledCells(of_nodes, stiffness, HELD * weight)
-
-
-def _assemble(subdomain: Subdomain, chosen: BoolArray, modulus: float) -> sparse.csr_matrix:
-    """On displacements of nodes, (n_dofs, n_dofs)."""
-    n_dofs = subdomain.mesh.n_dofs
-    if not chosen.any():
-        return sparse.csr_matrix((n_dofs, n_dofs))
-    of_cells = integrate_cell_stiffness(subdomain.mesh, Material())
-    of_cells[~chosen] = 0.0
-    stiffness: sparse.csr_matrix = interpolate_cells(subdomain.mesh).assemble_matrix(modulus * of_cells)
-    return stiffness
-
-
-def _turn(subdomain: Subdomain, of_nodes: sparse.csr_matrix, angle: float) -> sparse.csr_matrix:
-    """The same on unknowns, R K R^T, (n_unknowns, n_unknowns)."""
-    n_motion = subdomain.n_motion
-    if not of_nodes.nnz:
-        return sparse.csr_matrix((subdomain.n_unknowns, subdomain.n_unknowns))
-    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), build_rotation(angle)).tocsr()
-    of_field = subdomain.kinematics.project_matrix((turn @ of_nodes @ turn.T).tocsr())
-    return sparse.block_diag([of_field, sparse.csr_matrix((n_motion, n_motion))]).tocsr() if n_motion else of_field
+def read_frame_windows(views: ByView[FrameView], q: Sequence[Array]) -> None:
+    """Read the windows of a frame that unknowns ask for, and no larger ones; free of communication."""
+    wanted: dict[int, tuple[DeformedSubImage, Window]] = {}
+    for view, q_s in zip(views.flat, views.fill(q).flat, strict=True):
+        window = view.find_displaced_window(q_s)
+        known = wanted.get(id(view.deformed))
+        # At once for all who share it: one by one, every subdomain would outgrow what the last one read.
+        union = window if known is None else window.union(known[1])
+        wanted[id(view.deformed)] = (view.deformed, union)
+    for deformed, window in wanted.values():
+        deformed.hold(window)

@@ -1,26 +1,33 @@
-"""PGD-DIC prepared for any number of frames: pixels in bands of rows, the regularisation's weight, and their size."""
+"""PGD-DIC prepared for any number of frames: the rectangle that it measures, pixels, the regularisation's weight."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ddic.case.schema import RegularizationSection
+from ddic.arrays import Array, BoolArray
+from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import InputError, as_collective
 from ddic.functionals.regularization import find_cut_off_weight, find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import Rectangle, build_rectangle, check_rectangle, choose_controlled_lines, find_rectangle
+from ddic.inputs.mesh_source import NO_INNER_NODE, check_wavelength_fits
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.repair import check_inside
+from ddic.mesh.structured import build_structured_mesh, count_cells
+from ddic.mesh.topology import BOUNDARY
 from ddic.parallel.distribution import TeamSums
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.problem.region_mesh import build_material
-from ddic.problem.weighted_problem import ProblemSize, describe_cut_off
+from ddic.problem.region_mesh import build_material, describe_cut_off
+from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.band_sums import divide_rows
 from ddic.separated.corrections import OF_GAP, OF_TIKHONOV, Regularization, Scheme, StoppingRules
+from ddic.separated.field import LineElements
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
+    ControlledLines,
     SeparatedOperator,
     build_equilibrium_gap,
     build_plane_waves,
@@ -30,8 +37,150 @@ from ddic.separated.separated_regularization import (
     measure_wave_textures,
 )
 
+SMALLEST_ELEMENT = 1.0
+"""Side of an element, pixels: smaller ones hold no pixel."""
+
+COARSE_CELLS = 16
+"""Cells along a side of the mesh that stands for the rectangle where its elements are too many to be listed."""
+
+OUTPUT_PX, MOST_CELLS = 4.0, 250_000
+"""Least side, pixels, and largest number of the cells on which a displacement is written out, if nothing is said."""
+
+SIDES = ("left", "right", "top", "bottom")
+
 POWER = {"equilibrium_gap": 4, "tikhonov": 2}
 """Of the cut-off wavelength, with which its weight grows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rectangle:
+    """Lines between the elements of a rectangle.
+
+    Attributes
+    ----------
+    along_x, along_y : LineElements
+        Across the vertical lines, and across the horizontal ones.
+    """
+
+    along_x: LineElements
+    along_y: LineElements
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """First and last lines: x0, y0, x1, y1, pixels."""
+        x, y = self.along_x.nodes, self.along_y.nodes
+        return float(x[0]), float(y[0]), float(x[-1]), float(y[-1])
+
+    @property
+    def element_size(self) -> float:
+        """Mean side of the elements, pixels."""
+        n_elements = self.along_x.n_nodes + self.along_y.n_nodes - 2
+        return (self.along_x.length + self.along_y.length) / n_elements
+
+    def build_coarse_mesh(self) -> Mesh:
+        """Mesh the rectangle by few cells, which cover the same pixels."""
+        return build_structured_mesh(self.bounds, min(self.along_x.length, self.along_y.length) / COARSE_CELLS)
+
+
+def build_rectangle(case: Case) -> Rectangle:
+    """Build the lines that a case with [pgd] asks for: those that the Q4 elements of its structured mesh would have.
+
+    Raises InputError where it asks for something other than a whole rectangle of Q4 elements of a pixel or more.
+    """
+    section = case.mesh.structured
+    if section is None:
+        raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
+    if section.cell != "Q4":
+        raise InputError(f'mesh.structured.cell = "{section.cell}": [pgd] measures on "Q4" elements; leave the key out')
+    given = [key for key in ("circles", "polygons", "mask") if getattr(section, key)]
+    if given:
+        raise InputError(f"mesh.structured.{given[0]}: [pgd] measures whole rectangles; leave pixels out by "
+                         "images.reference_mask")
+    if section.element_size < SMALLEST_ELEMENT:
+        raise InputError(f"mesh.structured.element_size = {section.element_size:g}: smaller than a pixel; give "
+                         f"{SMALLEST_ELEMENT:g} or more")
+    x0, y0, x1, y1 = section.region
+    n_x, n_y = count_cells(section.region, section.element_size)
+    return Rectangle(LineElements(np.linspace(x0, x1, n_x + 1)), LineElements(np.linspace(y0, y1, n_y + 1)))
+
+
+def find_rectangle(mesh: Mesh) -> Rectangle:
+    """Find the lines of a mesh, pixels, which cross at its nodes.
+
+    Raises InputError where the cells do not fill a rectangle between lines, all of them Q4.
+    """
+    x, y = (np.unique(mesh.nodes[:, axis].round(9)) for axis in range(2))
+    n_cells = (len(x) - 1) * (len(y) - 1)
+    if mesh.n_nodes != len(x) * len(y) or mesh.n_cells != n_cells or len(mesh.connectivity) != 4 * n_cells:
+        raise InputError("mesh: [pgd] measures on a whole rectangle of Q4 elements between straight lines, such as "
+                         "ddic.structured_mesh makes; leave [pgd] out for other meshes")
+    return Rectangle(LineElements(x), LineElements(y))
+
+
+def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -> None:
+    """Check that a rectangle lies in the images, and what a case with [pgd] says of it.
+
+    Raises InputError where it leaves the images or holds no pixel, or a key does not fit it.
+    """
+    check_inside(rectangle.build_coarse_mesh(), width, height)
+    if not (len(rectangle.along_x.pixels) and len(rectangle.along_y.pixels)):
+        raise InputError("mesh.structured.region: it holds no pixel centre; give a larger one")
+    choose_output_lines(case, rectangle)
+    section = case.regularization
+    if section is None:
+        return
+    choose_controlled_lines(section, rectangle)
+    if section.operator == "equilibrium_gap" and min(rectangle.along_x.n_nodes, rectangle.along_y.n_nodes) < 3:
+        raise InputError(f"[regularization]: {NO_INNER_NODE.replace('give regularization.eta', 'leave it out')}")
+    if section.cut_off_wavelength is not None:
+        check_wavelength_fits(section.cut_off_wavelength, rectangle.element_size)
+
+
+def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle) -> ControlledLines:
+    """Choose the lines on which equilibrium is imposed: all but the sides that the case names.
+
+    Raises InputError where it names something other than sides.
+    """
+    lines = ControlledLines(np.ones(rectangle.along_x.n_nodes, dtype=bool),
+                            np.ones(rectangle.along_y.n_nodes, dtype=bool))
+    ends: dict[str, tuple[BoolArray, int]] = {"left": (lines.x, 0), "right": (lines.x, -1),
+                                                      "top": (lines.y, 0), "bottom": (lines.y, -1)}
+    for name in section.not_controlled:
+        if name not in (*SIDES, BOUNDARY):
+            raise InputError(f'regularization.not_controlled: "{name}" is no side of a rectangle; there are '
+                             f"{', '.join((*SIDES, BOUNDARY))}")
+        for side in SIDES if name == BOUNDARY else (name,):
+            on_lines, end = ends[side]
+            on_lines[end] = False
+    return lines
+
+
+def choose_output_lines(case: Case, rectangle: Rectangle) -> tuple[Array, Array]:
+    """Choose the lines x and y, (n,), pixels, between the cells on which a displacement is written out.
+
+    They are lines of the rectangle, each so many elements from the one before. Raises InputError where the case asks
+    for cells smaller than an element.
+    """
+    wanted = None if case.pgd is None else case.pgd.output_spacing
+    size = rectangle.element_size
+    if wanted is not None and wanted < (1 - 1e-9) * size:
+        raise InputError(f"pgd.output_spacing = {wanted:g}: smaller than the elements, of {size:.3g} px; give at least "
+                         "their size")
+    if wanted is None:
+        wanted = max(OUTPUT_PX, (rectangle.along_x.length * rectangle.along_y.length / MOST_CELLS) ** 0.5)
+        stride = int(np.ceil(wanted / size - 1e-9))
+    else:
+        stride = round(wanted / size)
+    x, y = (_take_every(line.nodes, max(stride, 1)) for line in (rectangle.along_x, rectangle.along_y))
+    return x, y
+
+
+def _take_every(nodes: Array, stride: int) -> Array:
+    """Every so many nodes, and the last one; the last cell is the larger one where they do not divide the side."""
+    chosen = nodes[:-1:stride]
+    if len(chosen) > 1 and len(nodes) - 1 - (len(chosen) - 1) * stride < (stride + 1) // 2:
+        chosen = chosen[:-1]
+    return np.append(chosen, nodes[-1])
 
 
 @dataclass(frozen=True, eq=False)

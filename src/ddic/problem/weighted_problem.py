@@ -8,31 +8,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ddic.arrays import IntArray
-from ddic.case.schema import RegularizationSection
 from ddic.errors import SingularSubdomainError, as_collective, is_collective
-from ddic.functionals.regularization import HalfAmplitudes, find_half_amplitudes
+from ddic.functionals.regularization import HalfAmplitudes
 from ddic.functionals.view import CellSlopes, FrameView, View
 from ddic.inputs.cameras import Frame
 from ddic.mesh.plane import build_rotation
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.assembly import assemble
+from ddic.problem.added_forces import LEAST_ANGLE, HeldRotation, choose_stiffness_angle, fit_rigid_motion
+from ddic.problem.assembly import AssembledFrom, assemble, describe_lost_pixels, find_renewal, find_unseen_unknowns
 from ddic.problem.linear_solver import LinearSolver
-from ddic.problem.reference_problem import ReferenceProblem
-from ddic.problem.region_mesh import build_material, compute_cut_off_wavelength
-from ddic.problem.region_rotation import (
-    KEPT_STEPS,
-    LEAST_ANGLE,
-    STEP_ANGLE,
-    HeldRotation,
-    fit_rigid_motion,
-    measure_turn,
-)
-from ddic.problem.renewal import AssembledFrom, describe_lost_pixels, find_free_unknowns, find_held, find_renewal
-from ddic.problem.residual_model import ResidualModel
-from ddic.problem.views import open_frame_views, weigh_cameras
+from ddic.problem.reference_problem import ReferenceProblem, weigh_cameras
+from ddic.problem.region_mesh import compute_cut_off_wavelength, describe_cut_off
+from ddic.problem.residual_model import ResidualModel, open_frame_views
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.local_system import describe_lost
 
@@ -69,7 +58,6 @@ class WeightedProblem:
         self._clock = clock
         self._weights: list[float] = []
         self._solver: LinearSolver | None = None
-        self._size: ProblemSize | None = None
         self._assembled_from = AssembledFrom.all_of(reference.subdomains, reference.views)
         # By which the stiffness is turned, radians.
         self._stiffness_angle = 0.0
@@ -93,9 +81,7 @@ class WeightedProblem:
         reference = self.reference
         if reference.inputs.case.regularization is not None:
             return False
-        unseen = [~find_held(subdomain, n_pixels) for subdomain, n_pixels
-                  in zip(reference.subdomains, self._assembled_from.n_pixels, strict=True)]
-        return len(find_free_unknowns(self.team, reference.subdomains, unseen)) > 0
+        return len(find_unseen_unknowns(self.team, reference.subdomains, self._assembled_from.n_pixels)) > 0
 
     @property
     def is_set_up(self) -> bool:
@@ -109,12 +95,15 @@ class WeightedProblem:
             raise RuntimeError("the noise of the cameras is not known yet")
         return self._solver
 
-    @property
+    @cached_property
     def size(self) -> ProblemSize:
-        """How large the problem is."""
-        if self._size is None:
-            raise RuntimeError("no frame has been looked at yet")
-        return self._size
+        """How large the problem is, counted once a frame has been looked at; collective when it is first asked for."""
+        region, solver, case = self.reference.region, self.solver, self.reference.inputs.case
+        ranges = self.team.gather_lists([own.measure_grey_range() for own, *_ in self.reference.views])
+        lowest, highest = zip(*ranges, strict=True)
+        return ProblemSize(region.n_field, region.n_cells, self.reference.n_pixels, region.n_subdomains, self.team.size,
+                           solver.n_interface, max(highest) - min(lowest), solver.assembly.eta,
+                           describe_cut_off(case.regularization))
 
     @property
     def tolerances(self) -> Tolerances:
@@ -159,9 +148,9 @@ class WeightedProblem:
             return model, ()
         angle = fit_rigid_motion(q).angle
         notes: tuple[str, ...] = ()
-        # Not at every step's edge: two solutions might take turns.
-        if abs(measure_turn(self._stiffness_angle, angle)) > KEPT_STEPS * STEP_ANGLE:
-            self._turn_stiffness(round(angle / STEP_ANGLE) * STEP_ANGLE)
+        of_stiffness = choose_stiffness_angle(angle, self._stiffness_angle)
+        if of_stiffness != self._stiffness_angle:
+            self._turn_stiffness(of_stiffness)
             notes = (f"the stiffness is turned by {np.rad2deg(self._stiffness_angle):.1f} degrees",)
         elif (abs(angle) > LEAST_ANGLE) == (model.rotation is not None):
             return model, ()
@@ -212,25 +201,19 @@ class WeightedProblem:
             try:
                 self.solver.renew(renewal.systems)
             except SingularSubdomainError as error:
-                raise self._explain(error, model, renewal.assembled_from.n_pixels) from error
+                n_pixels = renewal.assembled_from.n_pixels
+                # What the frame has to do with it.
+                reason = describe_lost_pixels(model, n_pixels) if is_collective(error) else ""
+                if not reason:
+                    raise
+                raise as_collective(SingularSubdomainError(describe_lost(str(error), reason))) from error
             # Not before: where the factorisation fails, the next frame asks for it again.
             self._assembled_from = renewal.assembled_from
             self._is_changed |= bool(renewal.notes)
             if model.rotation is not None:
                 # Of the rows that count now.
                 model = replace(model, rotation=HeldRotation(self.team, self.solver.assembly.systems))
-        if self._size is None:
-            self._size = measure_problem_size(self.team, self.reference, self.solver)
         return replace(model, filled=renewal.filled), renewal.notes
-
-    @staticmethod
-    def _explain(error: SingularSubdomainError, model: ResidualModel,
-                 n_pixels: ByView[IntArray]) -> SingularSubdomainError:
-        """The error with what a frame has to do with it; collective where it is."""
-        if not is_collective(error):
-            return error
-        reason = describe_lost_pixels(model, n_pixels)
-        return as_collective(SingularSubdomainError(describe_lost(str(error), reason))) if reason else error
 
     def begin_anew(self) -> None:
         """Forget earlier frames: what the next one comes to depends on its images and its start alone; collective.
@@ -290,22 +273,3 @@ class ProblemSize:
     dynamic_range: float
     eta: float
     half_amplitudes: HalfAmplitudes | None = None
-
-
-def measure_problem_size(team: Team, reference: ReferenceProblem, solver: LinearSolver) -> ProblemSize:
-    """Count what is about to be solved, once the solver is set up; collective."""
-    region = reference.region
-    lowest, highest = zip(*team.gather_lists([own.measure_grey_range() for own, *_ in reference.views]), strict=True)
-    return ProblemSize(region.n_field, region.n_cells, reference.n_pixels, region.n_subdomains, team.size,
-                       solver.n_interface, max(highest) - min(lowest), solver.assembly.eta,
-                       describe_cut_off(reference.inputs.case.regularization))
-
-
-def describe_cut_off(section: RegularizationSection | None) -> HalfAmplitudes | None:
-    """Say what a cut-off wavelength means, pixels; None where none is given."""
-    if section is None or section.cut_off_wavelength is None:
-        return None
-    if section.operator == "tikhonov":
-        # 1 / (1 + (l_c / l)^2) of a wave of any direction is left.
-        return HalfAmplitudes(section.cut_off_wavelength, section.cut_off_wavelength)
-    return find_half_amplitudes(build_material(section), section.cut_off_wavelength)

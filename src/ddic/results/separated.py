@@ -17,7 +17,6 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.window import Window
 from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
-from ddic.inputs.rectangle import choose_output_lines
 from ddic.io import result_schema as schema
 from ddic.io.hdf5_file import ChunkGrid
 from ddic.io.result_writer import Piece, PieceSize, ResultWriter
@@ -27,7 +26,7 @@ from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import GridLines
 from ddic.parallel.team import Team, require_held
-from ddic.problem.separated_problem import SeparatedProblem
+from ddic.problem.separated_problem import SeparatedProblem, choose_output_lines
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.fields import convert_to_six_components, describe_nodal_strains
 from ddic.results.histories import write_case

@@ -24,8 +24,8 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.cut_region import list_discontinuities
 from ddic.problem.reference_problem import ReferenceProblem
+from ddic.problem.region_mesh import list_discontinuities
 from ddic.start.binned_pair import BinnedPair, choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start

@@ -12,15 +12,15 @@ from ddic.functionals.correlation import Residual
 from ddic.functionals.grey_statistics import GreyCorrection, measure_deviation
 from ddic.functionals.view import FrameView
 from ddic.inputs.cameras import Camera, Frame
-from ddic.inputs.start_points import StartPoints
+from ddic.inputs.inputs import StartPoints
 from ddic.kinematics.camera import CameraKinematics
 from ddic.kinematics.kinematics import Kinematics
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import require_held
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.residual_model import Evaluation, ResidualModel
-from ddic.problem.views import hold_set_ups_still, read_frame_windows
+from ddic.problem.reference_problem import hold_set_ups_still
+from ddic.problem.residual_model import Evaluation, ResidualModel, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.start.coarse_field import CoarseSearch, fit_found_fields
 from ddic.start.given_start import EarlierResult, GivenStart

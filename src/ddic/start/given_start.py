@@ -13,7 +13,7 @@ from ddic.case.schema import StartSection
 from ddic.errors import InputError
 from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.inputs.cameras import Camera
-from ddic.inputs.start_points import StartPoints, check_start_points, load_start_points, require_points_inside
+from ddic.inputs.inputs import StartPoints, check_start_points, load_start_points, require_points_inside
 from ddic.io.result_reader import SAME_NODE_PX, Result, evaluate_on_sides, require_known_displacement
 from ddic.io.result_schema import near_group
 from ddic.io.series_reader import read_frame_or_last

@@ -23,9 +23,9 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import SINGULAR, find_eta, weigh_rows
+from ddic.problem.reference_problem import Hessians, hold_set_ups_still, project_hessians
 from ddic.problem.region_mesh import ProbeWaves
 from ddic.problem.residual_model import ResidualModel, is_deformation_large
-from ddic.problem.views import Hessians, hold_set_ups_still, project_hessians
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Progress, gauss_newton
 from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep

@@ -8,10 +8,9 @@ import numpy as np
 from ddic.arrays import Array
 from ddic.images.rigid import GridField
 from ddic.inputs.cameras import Frame, MeasuredCells
-from ddic.inputs.rectangle import Rectangle
 from ddic.io.result_reader import displacement_at
 from ddic.parallel.team import require_held
-from ddic.problem.separated_problem import SeparatedProblem
+from ddic.problem.separated_problem import Rectangle, SeparatedProblem
 from ddic.separated.field import LineElements, SeparatedField, factorize_grid, scale_modes
 from ddic.start.coarse_displacement import KeptResult
 from ddic.start.coarse_field import CoarseSearch, prepare_search

@@ -18,7 +18,7 @@ from ddic.functionals.view import View
 from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.renewal import find_displaced_nodes, find_free_unknowns, find_held
+from ddic.problem.assembly import find_displaced_nodes, find_unseen_unknowns
 from ddic.problem.residual_model import Evaluation
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
@@ -152,12 +152,13 @@ def describe_lost_field(team: Team, are_noisy: Sequence[BoolArray], are_shown: S
 
 def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
     """Say how many cells are doubtful, in a line, or none; collective."""
-    n_doubtful = team.sum(sum(int(of_cells.doubtful.sum()) for of_cells in errors))
+    counts = np.zeros(4)
+    for of_cells in errors:
+        is_off = of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)
+        counts += [of_cells.doubtful.sum(), np.isnan(of_cells.equivalent).sum(), is_off.sum(), len(is_off)]
+    n_doubtful, n_unseen, n_off, n_cells = team.sum(counts).astype(int)
     if not n_doubtful:
         return ()
-    n_unseen = team.sum(sum(int(np.isnan(of_cells.equivalent).sum()) for of_cells in errors))
-    n_off = team.sum(sum(int((of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)).sum()) for of_cells in errors))
-    n_cells = team.sum(sum(len(of_cells.doubtful) for of_cells in errors))
     line = f"{n_doubtful} of {n_cells} cells are marked doubtful (cell field \"doubtful\")"
     reasons = {f"the residual of {n_off} is that of an error above {DOUBTFUL_PX} px": n_off,
                f"{n_unseen} hold no pixel that counts": n_unseen}
@@ -170,10 +171,8 @@ def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> l
     subdomains = problem.reference.subdomains
     if problem.reference.inputs.case.regularization is not None:
         return [np.zeros(subdomain.mesh.n_nodes, dtype=bool) for subdomain in subdomains]
-    unseen = []
-    for subdomain, of_views in zip(subdomains, evaluation.residuals, strict=True):
-        unseen.append(~find_held(subdomain, [residual.cell_sums.n_pixels.astype(np.int64) for residual in of_views]))
-    free = find_free_unknowns(problem.team, subdomains, unseen)
+    n_pixels = evaluation.residuals.map(lambda residual: residual.cell_sums.n_pixels.astype(np.int64))
+    free = find_unseen_unknowns(problem.team, subdomains, n_pixels)
     return [find_displaced_nodes(subdomain, np.isin(subdomain.kinematics.numbers, free)) for subdomain in subdomains]
 
 

@@ -22,31 +22,15 @@ from ddic.functionals.spoilt_pixels import cut_patches, find_spoilt_pixels
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
 from ddic.mesh.mesh import pad_cells
-from ddic.mesh.plane import measure_distance as measure_distance_from_line
+from ddic.mesh.plane import measure_distance
 from ddic.mesh.raster import find_common_pixels
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.held_cells import (
-    AT_START,
-    CAPTURED,
-    NO_LIMITS,
-    HeldCells,
-    Limits,
-    find_cells_beside,
-    measure_distance,
-    pull_view,
-)
+from ddic.problem.held_cells import CAPTURED, HeldCells, find_cells_beside, measure_mean_distance, pull_view
 from ddic.problem.residual_model import ResidualModel
-from ddic.visibility.seen_cells import (
-    BLANK_TEXTURE,
-    CORRELATED,
-    FEWEST_PIXELS,
-    SeenCells,
-    TypicalCell,
-    find_standing_out,
-)
+from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, TypicalCell, find_blank, find_standing_out
 
 KEPT, BLANK, SPOILT, UNSEEN, HELD_OFF = 0, 1, 2, 3, 4
 """Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows; and used
@@ -71,6 +55,34 @@ LARGEST_SHARE = 0.5
 
 START_SHARE = 0.3
 """The same at a start, which may be wrong itself: with more, nothing is excluded before the first iterations."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """From which displacement error on a residual is not believed.
+
+    Attributes
+    ----------
+    cell, pixel : float
+        Of a whole cell, and about a pixel, pixels.
+    searched : float
+        Of a cell from which on single pixels of it are looked at, pixels.
+    beside : float
+        Distance up to which a cell that is seen beside where it is put counts nevertheless, pixels.
+    """
+
+    cell: float
+    pixel: float
+    searched: float
+    beside: float
+
+
+AT_START, AT_END = Limits(0.8, 1.0, 0.8, CAPTURED), Limits(0.6, 0.5, 0.15, np.inf)
+"""Where the field is a start, and where it is found, which mechanics may hold off by any distance. Real images of
+coarse meshes leave 0.46 px in a cell of little texture at the edge of a hole, and less than 0.3 px elsewhere."""
+
+NO_LIMITS = Limits(np.inf, np.inf, np.inf, np.inf)
+"""Where any residual is believed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +240,9 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
     stands_out = find_standing_out(seen.cells, seen.typical, rules.limits.cell)
     may_be_spoilt = find_standing_out(seen.cells, seen.typical, rules.limits.searched)
     suspicious = np.flatnonzero((stands_out | may_be_spoilt) & (states == KEPT))
-    found = _find_cells_beside(seen, rules, suspicious)
+    # Without mechanics nothing is held off: what stands out is a mesh that cannot follow, or foreign.
+    found = find_cells_beside(seen.view, seen.q, suspicious, seen.typical.noise) if rules.is_regularized else {}
+    found = {cell: away for cell, away in found.items() if measure_mean_distance(away) <= rules.limits.beside}
     beside = np.array(list(found), dtype=np.int64)
     states[stands_out & (states == KEPT)] = SPOILT
     states[beside] = np.where(stands_out[beside], HELD_OFF, KEPT)
@@ -243,18 +257,9 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
     return states, np.concatenate(spots), _hold(seen, found)
 
 
-def _find_cells_beside(seen: SeenView, rules: Rules, cells: IntArray) -> dict[int, Array]:
-    """How far the corners of some cells are seen beside where mechanics hold them, of those that are."""
-    if not rules.is_regularized:
-        # No mechanics hold anything off: what stands out is a mesh that cannot follow, or foreign.
-        return {}
-    found = find_cells_beside(seen.view, seen.q, cells, seen.typical.noise)
-    return {cell: away for cell, away in found.items() if measure_distance(away) <= rules.limits.beside}
-
-
 def _hold(seen: SeenView, found: Mapping[int, Array]) -> HeldCells:
     """Where those cells are seen whose grey levels do not say the way there."""
-    far = {cell: away for cell, away in found.items() if measure_distance(away) > CAPTURED}
+    far = {cell: away for cell, away in found.items() if measure_mean_distance(away) > CAPTURED}
     if not far:
         return HeldCells.none()
     cells, mesh = np.array(list(far), dtype=np.int64), seen.view.correlation.mesh
@@ -264,15 +269,9 @@ def _hold(seen: SeenView, found: Mapping[int, Array]) -> HeldCells:
 
 def _judge_by_pixels(seen: SeenView, rules: Rules) -> NDArray[np.uint8]:
     """States of cells, (n_cells,), by their texture and by how many of their pixels the frame shows."""
-    cells, typical = seen.cells, seen.typical
+    cells = seen.cells
     states = np.full(len(cells.n_pixels), KEPT, dtype=np.uint8)
-    if seen.judged is None:
-        # Where nothing has texture at all, the operators say so.
-        is_weak = (cells.texture <= BLANK_TEXTURE * typical.texture) & (typical.texture > 0)
-        is_blank = is_weak & (cells.coefficient < CORRELATED) & (cells.n_pixels >= FEWEST_PIXELS)
-    else:
-        is_blank = seen.judged == BLANK
-    states[is_blank] = BLANK
+    states[find_blank(cells, seen.typical) if seen.judged is None else seen.judged == BLANK] = BLANK
     least = 0.0 if rules.is_regularized else LEAST_SHOWN
     n_in_reference = seen.view.count_pixels()
     is_unseen = (cells.n_pixels == 0) | (cells.n_pixels < least * n_in_reference)
@@ -314,7 +313,7 @@ def _find_uncertain_pixels(seen: SeenView, rules: Rules, box: Window) -> BoolArr
     points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
     for line, uncertainty in zip(correlation.mesh.parts.lines.polylines, rules.uncertainty, strict=True):
         if uncertainty > 0:
-            uncertain |= (measure_distance_from_line(points, line) <= uncertainty).reshape(uncertain.shape)
+            uncertain |= (measure_distance(points, line) <= uncertainty).reshape(uncertain.shape)
     return uncertain
 
 

@@ -18,25 +18,24 @@ much.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ddic.arrays import Array, BoolArray, IntArray
+from ddic.arrays import Array, IntArray
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.noise_transfer import (
-    TransferTable,
     build_transfer,
     build_white_transfer,
     correlate_slopes,
     find_cell_transfer,
 )
 from ddic.functionals.view import FrameView, View
-from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, REACH, estimate_rest_noise
+from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, estimate_rest_noise
 from ddic.images.window import Window
 from ddic.io.image_file import hold_image
 from ddic.mesh.quality import measure_covered_areas
@@ -119,20 +118,32 @@ def measure_force_noise(model: ResidualModel, evaluation: Evaluation, q: Field, 
     is_biased = is_regularized and bias is None
     typical = max(state.residual_std**2, TINY)
 
-    def measure() -> list[Array]:
-        found = []
-        owned = zip(model.subdomains, model.views, evaluation.residuals, q, strict=True)
-        for number, (subdomain, (own, *_), (residual, *_), q_s) in enumerate(owned):
-            correction = model.find_correction(evaluation, own.camera, residual)
-            is_sampled = subdomain.cell_ids % stride == 0
-            is_sampled &= residual.cell_sums.n_pixels > 0
-            cells = _CellForces.compute(own, residual, correction, is_sampled, q_s, follows=model.follows)
-            if bias is not None:
-                cells = cells.without_bias(own, bias[number])
-            found.append(cells.add_up(own, residual, correction, q_s, typical, without_translations=is_biased))
-        return found
+    def add_up(place: int) -> Array:
+        """What the sampled cells of a subdomain tell, in the order of _Sums."""
+        own, residual, q_s = model.views[place][0], evaluation.residuals[place][0], q[place]
+        gain, offset = model.find_correction(evaluation, own.camera, residual)
+        of_cells = residual.cell_sums
+        is_sampled = (model.subdomains[place].cell_ids % stride == 0) & (of_cells.n_pixels > 0)
+        cells = np.flatnonzero(is_sampled)
+        correlation = model.show(own.confine(is_sampled), q_s).correlation
+        hessians = correlation.compute_cell_hessians()[cells]
+        forces = correlation.compute_cell_forces(cells, residual, gain, offset)
+        if bias is not None:
+            at_corners = own.kinematics.displacement(bias[place])[correlation.interpolation.cell_dofs[cells]]
+            forces = forces + np.einsum("eij,ej->ei", hessians, at_corners)
+        translations = hessians.reshape(-1, 4, 2, 4, 2).sum(axis=(1, 3))
+        energies, ranks = _measure_energies(hessians, forces, translations if is_biased else None)
+        degree, n = own.deformed.degree, of_cells.n_pixels[cells]
+        transfers = find_cell_transfer(build_white_transfer(degree), own, q_s, cells)[:, 0]
+        gains = np.broadcast_to(gain, len(of_cells.n_pixels))[cells]
+        _, squares = of_cells.sum_residual(gain, offset)
+        variances = squares[cells] / n
+        weights = 1.0 / (variances + typical)
+        return np.array([weights @ energies, weights @ (variances * ranks), weights @ variances, len(n), n.sum(),
+                         translations.trace(axis1=1, axis2=2).sum(), 2.0 * NOISE_OF_SLOPE[degree] * n.sum(),
+                         n @ (gains**2 * transfers)])
 
-    sums = _Sums(*team.ordered_sum(team.together(measure)))
+    sums = _Sums(*team.ordered_sum(team.together(lambda: [add_up(place) for place in range(len(q))])))
     taken = n_determined / n_cells * (OF_SHAPES if is_biased else 1.0)
     n_free = max(sums.ranks - taken * sums.variances, 0.0)
     # Where so few are free that chance rules them the residual counts as white.
@@ -165,60 +176,21 @@ class _Sums(NamedTuple):
     """Variance of g's noise after interpolation and gain over that before, of each pixel, not weighted."""
 
 
-@dataclass(frozen=True, eq=False)
-class _CellForces:
-    """Forces of some cells of a subdomain, and how they depend on its nodes.
+def _measure_energies(hessians: Array, forces: Array, translations: Array | None) -> tuple[Array, Array]:
+    """b_e^T M_e^-1 b_e and rank M_e of each cell, (n,).
 
-    Attributes
-    ----------
-    numbers : (n,) array
-        Of the cells.
-    hessians, forces : (n, 8, 8) and (n, 8) array
-        M_e and b_e.
+    With M_e of the translations of each, (n, 2, 2), without the forces that move it as a whole.
     """
-
-    numbers: IntArray
-    hessians: Array
-    forces: Array
-
-    @classmethod
-    def compute(cls, own: FrameView, residual: Residual, correction: tuple[Array, Array], is_sampled: BoolArray,
-                q: Array, *, follows: bool) -> _CellForces:
-        """At a field, with the gradient that it is sought with."""
-        view = own.confine(is_sampled).without_hidden(q)
-        correlation = (view.with_moved_gradient(q) if follows else view).correlation
-        numbers = np.flatnonzero(is_sampled)
-        return cls(numbers, correlation.compute_cell_hessians()[numbers],
-                   correlation.compute_cell_forces(numbers, residual, *correction))
-
-    def without_bias(self, own: FrameView, bias: Array) -> _CellForces:
-        """The same at the field without its bias."""
-        at_corners = own.kinematics.displacement(bias)[own.correlation.interpolation.cell_dofs[self.numbers]]
-        return replace(self, forces=self.forces + np.einsum("eij,ej->ei", self.hessians, at_corners))
-
-    def add_up(self, own: FrameView, residual: Residual, correction: tuple[Array, Array], q: Array, typical: float, *,
-               without_translations: bool) -> Array:
-        """What they tell, in the order of _Sums; ``typical`` is the variance of the residual."""
-        values, vectors = np.linalg.eigh(self.hessians)
-        is_held = values > SINGULAR * values[:, -1:]
-        along = np.einsum("eji,ej->ei", vectors, self.forces)
-        energies = np.divide(along**2, values, out=np.zeros_like(values), where=is_held).sum(axis=1)
-        ranks = is_held.sum(axis=1)
-        translations = self.hessians.reshape(-1, 4, 2, 4, 2).sum(axis=(1, 3))
-        if without_translations:
-            whole = self.forces.reshape(-1, 4, 2).sum(axis=1)
-            energies -= np.einsum("ei,ei->e", whole, (np.linalg.pinv(translations) @ whole[..., None])[..., 0])
-            ranks = np.maximum(ranks - 2, 0)
-        degree = own.deformed.degree
-        transfers = find_cell_transfer(build_white_transfer(degree), own, q, self.numbers)[:, 0]
-        gain = np.broadcast_to(correction[0], len(residual.cell_sums.n_pixels))[self.numbers]
-        _, squares = residual.cell_sums.sum_residual(*correction)
-        n = residual.cell_sums.n_pixels[self.numbers]
-        variances = squares[self.numbers] / n
-        weights = 1.0 / (variances + typical)
-        slopes = translations.trace(axis1=1, axis2=2)
-        return np.array([weights @ energies, weights @ (variances * ranks), weights @ variances, len(n), n.sum(),
-                         slopes.sum(), 2.0 * NOISE_OF_SLOPE[degree] * n.sum(), n @ (gain**2 * transfers)])
+    values, vectors = np.linalg.eigh(hessians)
+    is_held = values > SINGULAR * values[:, -1:]
+    along = np.einsum("eji,ej->ei", vectors, forces)
+    energies = np.divide(along**2, values, out=np.zeros_like(values), where=is_held).sum(axis=1)
+    ranks = is_held.sum(axis=1)
+    if translations is not None:
+        whole = forces.reshape(-1, 4, 2).sum(axis=1)
+        energies -= np.einsum("ei,ei->e", whole, (np.linalg.pinv(translations) @ whole[..., None])[..., 0])
+        ranks = np.maximum(ranks - 2, 0)
+    return energies, ranks
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +227,10 @@ def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Field,
     and offset of the grey levels count as known. ``model`` holds the pixels that count, cameras weighted; ``noise`` is
     of each camera's images, grey levels.
     """
-    team, tables = model.team, _tabulate_by_camera(model, case.correlation.spline_degree)
-    at = model.views.fill(q)
+    team, at = model.team, model.views.fill(q)
+    slopes = team.together(lambda: model.views.map(lambda view: correlate_slopes(view.correlation)))
+    # Of the texture that each camera sees.
+    tables = [build_transfer(of_camera, case.correlation.spline_degree) for of_camera in model.sum_by_camera(slopes)]
     transfers = team.together(lambda: model.views.map(
         lambda view, q_s: find_cell_transfer(tables[view.camera], view, q_s), at))
 
@@ -264,7 +238,10 @@ def prepare_noise_forces(model: ResidualModel, evaluation: Evaluation, q: Field,
         gain, _ = model.find_correction(evaluation, view.camera, residual)
         # Of one camera, or of each cell.
         of_g = np.atleast_1d(gain)[:, None] ** 2 * transfer
-        return _weigh_noise(_compute_hessians(model, view, q_s), noise[view.camera], of_g)
+        hessians = model.show(view, q_s).correlation.compute_cell_hessians()
+        # Node by node, both components.
+        scale = np.tile(np.sqrt(of_g), hessians.shape[1] // of_g.shape[1])
+        return np.asarray(noise[view.camera]**2 * hessians * (1.0 + scale[:, :, None] * scale[:, None, :]))
 
     covariances = team.together(lambda: model.views.map(weigh, evaluation.residuals, transfers, at))
     total, n_values = team.ordered_sum([np.array([sum(c.sum() for c in of_views), sum(c.size for c in of_views)])
@@ -285,7 +262,8 @@ def prepare_residual_forces(model: ResidualModel, evaluation: Evaluation, q: Fie
         _, squares = residual.cell_sums.sum_residual(*model.find_correction(evaluation, view.camera, residual))
         n = residual.cell_sums.n_pixels
         variances = (squares + FEW_PIXELS * noise.variance) / (n + FEW_PIXELS)
-        return np.asarray(factor * variances[:, None, None] * _compute_hessians(model, view, q_s))
+        hessians = model.show(view, q_s).correlation.compute_cell_hessians()
+        return np.asarray(factor * variances[:, None, None] * hessians)
 
     covariances = model.team.together(lambda: model.views.map(multiply, evaluation.residuals, model.views.fill(q)))
     return _sample(model, covariances, case, noise.excess)
@@ -311,31 +289,6 @@ def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
     first, size = np.min(firsts, axis=0), np.sqrt(area / n_cells)
     # The cells of a regular mesh lie in the middle of their places: rounding decides nothing.
     return [np.floor((s.mesh.centroids - first) / size + 0.5).astype(np.int64) for s in subdomains]
-
-
-def _tabulate_by_camera(model: ResidualModel, degree: int) -> list[TransferTable]:
-    """Noise transfer of the texture that each camera sees; collective."""
-
-    def correlate(view: FrameView) -> Array:
-        sums = np.zeros((model.n_cameras, 2, 2 * REACH + 1, 2 * REACH + 1))
-        sums[view.camera] = correlate_slopes(view.correlation)
-        return sums
-
-    total = model.team.ordered_sum(add_views(model.team.together(lambda: model.views.map(correlate))))
-    return [build_transfer(of_camera, degree) for of_camera in total]
-
-
-def _compute_hessians(model: ResidualModel, view: FrameView, q: Array) -> Array:
-    """M of each cell, (n_cells, n, n), of the pixels that are shown."""
-    shown = view.without_hidden(q)
-    return (shown.with_moved_gradient(q) if model.follows else shown).correlation.compute_cell_hessians()
-
-
-def _weigh_noise(hessians: Array, sigma: float, transfer: Array) -> Array:
-    """Covariance of the forces of each cell, (n_cells, n, n); transfer: of g's noise to both components."""
-    n = hessians.shape[1]
-    scale = np.tile(np.sqrt(transfer), n // transfer.shape[1])
-    return np.asarray(sigma**2 * hessians * (1.0 + scale[:, :, None] * scale[:, None, :]))
 
 
 def _assemble(view: View, forces: Array) -> Array:

@@ -192,6 +192,20 @@ def find_typical_cell(cells: SeenCells) -> TypicalCell:
                        find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)
 
 
+def see_cells(whole: ResidualModel, evaluation: Evaluation, slopes: ByView[CellSlopes],
+              ) -> tuple[ByView[SeenCells], dict[int, SeenCells], dict[int, TypicalCell]]:
+    """Measure the cells of owned subdomains; with a sample of all ranks' cells, and what most are like, by camera."""
+    seen = measure_seen_cells(whole, evaluation, slopes)
+    sample = collect_cells(whole, seen)
+    return seen, sample, {camera: find_typical_cell(cells) for camera, cells in sample.items()}
+
+
+def find_blank(cells: SeenCells, typical: TypicalCell) -> BoolArray:
+    """Find the cells of a view that have no texture, (n_cells,); none where nothing has any: the operators say so."""
+    is_weak = (cells.texture <= BLANK_TEXTURE * typical.texture) & (typical.texture > 0)
+    return np.asarray(is_weak & (cells.coefficient < CORRELATED) & (cells.n_pixels >= FEWEST_PIXELS))
+
+
 def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> BoolArray:
     """Find the cells of a view that show pixels and stand out, (n_cells,).
 

@@ -18,7 +18,7 @@ from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.problem.renewal import find_displaced_nodes
+from ddic.problem.assembly import find_displaced_nodes
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import CorrectionSize, Tolerances, measure_node_corrections
 from ddic.solvers.gauss_newton import Correction
@@ -88,8 +88,11 @@ def confine_to_slow_nodes(model: ResidualModel, correction: Correction, systems:
     # What a slow node does to its neighbours is no more linear than what it does itself.
     slow = _join_copies(team, subdomains, [_find_neighbours(*of_subdomain) for of_subdomain
                                            in zip(subdomains, slow, strict=True)])
-    rows = [_find_unknowns(subdomain, nodes) for subdomain, nodes in zip(subdomains, slow, strict=True)]
-    cells = [_find_cells(subdomain, of_rows) for subdomain, of_rows in zip(subdomains, rows, strict=True)]
+    rows = [np.asarray(abs(s.kinematics.tangent).T @ np.repeat(nodes, s.mesh.dim).astype(float) > 0)
+            for s, nodes in zip(subdomains, slow, strict=True)]
+    # Those with a node that these unknowns displace.
+    cells = [find_displaced_nodes(s, of_rows)[pad_cells(s.mesh)].any(axis=1)
+             for s, of_rows in zip(subdomains, rows, strict=True)]
     n_pixels = model.views.map(lambda view: view.correlation.raster.pixel_counts)
     n_visited = sum(int(n[chosen].sum()) for n, chosen in zip(add_views(n_pixels), cells, strict=True))
     n_visited, n_all = team.sum(np.array([n_visited, sum(int(n.sum()) for n in n_pixels.flat)], dtype=float))
@@ -113,20 +116,6 @@ def _find_neighbours(subdomain: Subdomain, nodes: BoolArray) -> BoolArray:
     found = np.array(nodes)
     found[corners[nodes[corners].any(axis=1)]] = True
     return found
-
-
-def _find_unknowns(subdomain: Subdomain, nodes: BoolArray) -> BoolArray:
-    """Unknowns that displace some nodes, (n_unknowns,); those of a camera's motion rest."""
-    found = np.zeros(subdomain.n_unknowns, dtype=bool)
-    tangent = abs(subdomain.kinematics.tangent)
-    found[:subdomain.n_field] = tangent.T @ np.repeat(nodes, subdomain.mesh.dim).astype(float) > 0
-    return found
-
-
-def _find_cells(subdomain: Subdomain, unknowns: BoolArray) -> BoolArray:
-    """Cells with a node that some unknowns displace, (n_cells,)."""
-    nodes = find_displaced_nodes(subdomain, unknowns[:subdomain.n_field])
-    return np.asarray(nodes[pad_cells(subdomain.mesh)].any(axis=1))
 
 
 def estimate_node_deviations(model: ResidualModel, systems: Sequence[LocalSystem], noise: float, *,

@@ -1,16 +1,21 @@
-"""The field of a frame, found with what was seen of it last, and which look at the frame is believed.
+"""Looks at a frame at some displacement, the field found with what was seen last, and which look is believed.
 
-Cells and pixels come and go with the field that they are judged by: they must come to rest. So must corrections that
-do not become smaller, but are far below the noise of the field.
+A look tells the frame's brightness, and what of it does not show the specimen. Cells and pixels come and go with the
+field that they are judged by: they must come to rest. So must corrections that do not become smaller, but are far below
+the noise of the field.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ddic.arrays import BoolArray
 from ddic.errors import ConvergenceError
-from ddic.parallel.field import Field
-from ddic.problem.residual_model import ResidualModel
+from ddic.functionals.view import View
+from ddic.parallel.field import ByView, Field
+from ddic.problem.held_cells import SHOWN
+from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.solvers.correction_size import CorrectionSize, Tolerances
 from ddic.solvers.exchange import ContinuousField, average_copies
@@ -25,10 +30,15 @@ from ddic.solvers.gauss_newton import (
     run_gauss_newton,
 )
 from ddic.solvers.probing import estimate_response
-from ddic.visibility.brightness import ORDER
 from ddic.visibility.cell_errors import find_unmeasured_nodes
-from ddic.visibility.see_frame import SeenFrame, see_frame
+from ddic.visibility.exclusions import AT_END, AT_START, Exclusions, Limits, Rules, find_exclusions
+from ddic.visibility.match_reference import ORDER, choose_correction, match_brightness, match_sharpness
+from ddic.visibility.seen_cells import TypicalCell, find_standing_out, see_cells
 from ddic.visibility.slow_nodes import SlowNodes, confine_to_slow_nodes, estimate_node_deviations
+
+SAME_SPECKLE = 0.8
+"""Least correlation coefficient of f and g of a cell that is seen where it is thought to be: where nothing is seen,
+nothing stands out."""
 
 ROUGHLY = 0.01
 """Correction of most nodes, pixels, from which on the field is good enough to look at the frame. A larger value looks
@@ -54,6 +64,92 @@ stays so, unless clearly less is."""
 SETTLED, SHRINKING = 5, 0.9
 """Looks after which nothing else is excluded, and share of the fewest pixels so far below which fewer are nevertheless:
 pixels might come and go for ever."""
+
+
+@dataclass(frozen=True)
+class SeenFrame:
+    """How a frame shows the specimen.
+
+    Attributes
+    ----------
+    whole : ResidualModel
+        Of all pixels that it shows, with the correction of grey levels that they need.
+    evaluation : Evaluation
+        Of it.
+    typical : mapping of int to TypicalCell
+        What most cells are like, by camera.
+    excluded : Exclusions
+        What does not show the specimen.
+    is_shown : ByView of (n_cells,) bool array
+        Which cells are seen where they are thought to be.
+    """
+
+    whole: ResidualModel
+    evaluation: Evaluation
+    typical: Mapping[int, TypicalCell]
+    excluded: Exclusions
+    is_shown: ByView[BoolArray]
+
+    def measure_shown_share(self) -> float:
+        """Share of the cells that are seen where they are thought to be, each camera's counted; collective."""
+        are_shown = np.concatenate(self.is_shown.flat)
+        n_shown, n_cells = self.whole.team.sum(np.array([are_shown.sum(), len(are_shown)], dtype=float))
+        return float(n_shown / max(n_cells, 1.0))
+
+
+def see_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, limits: Limits = AT_END,
+              judged: Exclusions | None = None) -> SeenFrame:
+    """See how a frame has to be corrected, and what of it does not show the specimen; collective.
+
+    The case says whether that is wanted. ``whole`` is of all pixels that the frame shows, ``q`` where it is thought to
+    show them. A residual is not believed from the displacement error of ``limits`` on, by default those of a field.
+    ``judged`` is of an earlier look, from which is taken which cells are blank; by default this one judges. Raises
+    ConvergenceError on all ranks where most of the frame does not show the specimen.
+    """
+    case, evaluation = problem.reference.inputs.case, whole.evaluate(q)
+    # A blurred reference image has weaker ones.
+    slopes = whole.views.map(View.measure_slopes) if whole.blurs else problem.slopes
+    seen, sample, typical = see_cells(whole, evaluation, slopes)
+    chosen = whole.correction
+    if case.correlation.grey_correction == "auto":
+        # Small cells about a tip do not tell their own.
+        has_tips = any(line.tip_functions for line in case.discontinuity)
+        chosen = choose_correction(sample, typical, whole.correction, "global" if has_tips else "element")
+    if chosen != whole.correction:
+        whole = replace(whole, correction=chosen)
+        if chosen == "element":
+            whole = match_brightness(whole, seen, typical)
+        evaluation = whole.evaluate(q)
+        seen, _, typical = see_cells(whole, evaluation, slopes)
+    corrected = typical
+    if whole.correction == "none":
+        corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
+    # They correlate and do not stand out.
+    is_shown = whole.views.map(lambda view, cells: (cells.coefficient > SAME_SPECKLE)
+                               & ~find_standing_out(cells, corrected[view.camera], SHOWN), seen)
+    if case.correlation.spoilt_pixels == "keep":
+        excluded = Exclusions.nothing(whole.views)
+    else:
+        rules = Rules(limits, whole.correction == "element", case.regularization is not None,
+                      tuple(line.uncertainty for line in case.discontinuity if line.vertices is not None))
+        excluded = find_exclusions(whole, q, seen, corrected, rules, judged)
+    return SeenFrame(whole, evaluation, typical, excluded, is_shown)
+
+
+def see_start(problem: WeightedProblem, whole: ResidualModel, q: Field) -> tuple[SeenFrame, tuple[str, ...]]:
+    """See the same at a start, and blur the reference images as much as the frame is; collective.
+
+    The case says whether either is wanted. Notes for the log come with what is seen; arguments are those of
+    ``see_frame``. Raises ConvergenceError on all ranks where the frame shows no pixel.
+    """
+    seen, inputs = see_frame(problem, whole, q, AT_START), problem.reference.inputs
+    if inputs.case.correlation.spoilt_pixels == "keep":
+        return seen, ()
+    matched, notes = match_sharpness(seen.whole, inputs.cameras, q, seen.typical)
+    if not notes:
+        return seen, notes
+    # Blurred from the file, they are as bright as there.
+    return see_frame(problem, replace(matched, correction=whole.correction), q, AT_START), notes
 
 
 @dataclass(frozen=True)
@@ -193,15 +289,15 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: Res
     for more correction than the field does. By default what was chosen is never taken back. Raises ConvergenceError on
     all ranks, with the SolvedFrame, where the frame does not show the specimen there.
     """
-    case, before, q = problem.reference.inputs.case, solved.seen.whole, solved.field.q
+    before, q = solved.seen.whole, solved.field.q
     # Fields that are roughly found judge what is blank.
     judged = None if solved.solution.paused is not None else solved.seen.excluded
     try:
         if as_read is not None and before.correction != as_read.correction and not before.blurs:
-            seen = see_frame(case, as_read, q, problem.slopes, judged=judged)
+            seen = see_frame(problem, as_read, q, judged=judged)
             if ORDER.index(seen.whole.correction) < ORDER.index(before.correction):
                 return seen
-        return see_frame(case, before, q, problem.slopes, judged=judged)
+        return see_frame(problem, before, q, judged=judged)
     except ConvergenceError as error:
         error.last = solved
         raise

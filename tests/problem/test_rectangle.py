@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ddic.case.schema import Case
-from ddic.inputs.rectangle import (
+from ddic.mesh.structured import build_structured_mesh
+from ddic.problem.separated_problem import (
     MOST_CELLS,
     OUTPUT_PX,
     build_rectangle,
@@ -14,7 +15,6 @@ from ddic.inputs.rectangle import (
     choose_output_lines,
     find_rectangle,
 )
-from ddic.mesh.structured import build_structured_mesh
 
 
 def _case(region: tuple[float, float, float, float], size: float, **more: object) -> Case:
