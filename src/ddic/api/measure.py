@@ -30,12 +30,11 @@ from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 from ddic.methods.detect import is_line_wanted
 from ddic.methods.method import MethodSession, prepare_session
+from ddic.methods.run import keep_failed_run, remove_failed_field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.results.listener import Silence
-from ddic.results.publishable import Publishable
-from ddic.results.publishing import Destination, gather, publish
-from ddic.results.run_files import keep_failed_run, remove_failed_field
+from ddic.results.publishing import Publishable, gather, publish
 from ddic.start.given_start import GivenStart
 
 if TYPE_CHECKING:
@@ -133,11 +132,11 @@ class Session:
             measured = self._require_open().measure(frame, start)
             self._last = measured.unknowns
             if output is not None:
-                publish(measured, Destination(output, self._inputs.case.output.flip_y))
+                publish(measured, output, flip_y=self._inputs.case.output.flip_y)
                 remove_failed_field(self._team, output, self._start)
             return gather(measured)
         except DdicError as error:
-            keep_failed_run(self._team, error, Destination(output, self._inputs.case.output.flip_y), self._start)
+            keep_failed_run(self._team, error, output, self._start)
             if isinstance(error, ConvergenceError):
                 _gather_last_field(error)
             raise

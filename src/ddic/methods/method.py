@@ -19,7 +19,7 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.results.listener import Listener
-from ddic.results.publishable import Publishable
+from ddic.results.publishing import Publishable
 
 
 class MethodSession(Protocol):

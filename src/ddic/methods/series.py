@@ -35,9 +35,8 @@ from ddic.parallel.stop_request import StopRequest, is_stop_asked
 from ddic.parallel.team import Team, require_held
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement
-from ddic.results.publishable import Publishable
-from ddic.results.publishing import Destination, pack, publish
-from ddic.results.series import FrameRecord, SeriesSummary, write_series_summary
+from ddic.results.publishing import Publishable, pack, publish
+from ddic.results.summary import FrameRecord, SeriesSummary, write_series_summary
 
 
 def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bool = False) -> SeriesSummary:
@@ -171,7 +170,7 @@ def _pack_frame(measurement: Measurement, record: FrameRecord, state: MeasuredSt
                                                 "shown_share": state.shown_share, "holds_back": state.holds_back})
         opened.write_arrays(f"{schema.SERIES}/unknowns", by_subdomain)
 
-    return pack(measurement, Destination(None, measurement.inputs.case.output.flip_y), add)
+    return pack(measurement, flip_y=measurement.inputs.case.output.flip_y, add=add)
 
 
 def _note_failure(team: Team, error: DdicError, record: FrameRecord, folder: SeriesFolder) -> None:
@@ -183,7 +182,7 @@ def _note_failure(team: Team, error: DdicError, record: FrameRecord, folder: Ser
     if isinstance(last, Publishable):
         path = schema.not_converged_path(folder.result.with_suffix(f".{record.number:06d}{folder.result.suffix}"))
         try:
-            publish(last, Destination(path, last.inputs.case.output.flip_y))
+            publish(last, path, flip_y=last.inputs.case.output.flip_y)
         except (OSError, DdicError) as second:
             # That the frame failed is told first; this comes of it.
             if not is_collective(second):

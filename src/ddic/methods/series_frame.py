@@ -25,7 +25,7 @@ from ddic.problem.reference_problem import update_reference
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
 from ddic.results.measurement import Measurement, place_at_nodes
-from ddic.results.series import FrameRecord, Vertices
+from ddic.results.summary import FrameRecord, Vertices
 
 N_STATES = 2
 """Frames from which the next one is extrapolated."""

@@ -1,7 +1,7 @@
-"""The mesh and the fields of a measurement, piece by piece, streamed through rank 0.
+"""What the result file holds of a measurement: mesh and fields, tables, curves and attributes.
 
-The mesh is as a result shows it: parts of cut cells as triangles, so that a discontinuity opens. Strains at the nodes
-are as the result file has them.
+Mesh and fields go piece by piece through rank 0. The mesh is as a result shows it: parts of cut cells as triangles, so
+that a discontinuity opens. Strains at the nodes are as the result file has them.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
 from ddic.parallel.distribution import stream_to_root, sum_shared_nodes
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
+from ddic.results.near import describe_near_field
+from ddic.results.publishing import write_case
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
-
 
 
 def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> list[Array]:
@@ -281,3 +282,44 @@ def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> 
     _, squares = residual.cell_sums.sum_residual(*correction)
     n = residual.cell_sums.n_pixels
     return np.where(n > 0, np.sqrt(squares / np.maximum(n, 1.0)), np.nan)
+
+
+def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
+    """Write the table of Gauss-Newton's iterations and the Krylov residuals of each; on rank 0."""
+    writer.write_table(schema.GAUSS_NEWTON, list_iterations(measurement))
+    writer.write_curves(schema.KRYLOV, [r.krylov_history for r in measurement.records])
+
+
+def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
+    """List Gauss-Newton's iterations, columns by name; the residual is that before each correction."""
+    records = measurement.records
+    columns: dict[str, list[Any]] = {
+        "iteration": [r.number for r in records],
+        "relative_correction": [r.size.relative for r in records],
+        "rms_correction_px": [r.size.rms for r in records],
+        "largest_correction_px": [r.size.largest for r in records],
+        "slow_nodes": [r.size.n_slow for r in records],
+        "of_slow_nodes": [int(r.is_local) for r in records],
+        "residual_std_grey": [r.grey.residual_std for r in records],
+        "residual_rms_grey": [r.grey.residual_rms for r in records],
+        "n_pixels": [r.grey.n_pixels for r in records],
+        "gain": [r.grey.gain for r in records],
+        "offset": [r.grey.offset for r in records],
+    }
+    for camera in measurement.cameras[1:]:
+        columns[f"near_{camera.number}_residual_std_grey"] = [r.cameras[camera.number].residual_std for r in records]
+    columns["krylov_iterations"] = [r.krylov_iterations for r in records]
+    columns["linear_error_px"] = [r.linear_error for r in records]
+    return columns
+
+
+def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
+    """Write the case, the times and units, and what is known of near-field set-ups; on rank 0."""
+    write_case(measurement, writer, {"largest_jump_px": measurement.largest_jump,
+                                     "notes": "\n".join(measurement.inputs.notes)})
+    if measurement.uncertainty is not None:
+        from ddic.results.field_uncertainty import list_uncertainty
+
+        writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
+    for motion in measurement.motions:
+        writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))

@@ -32,8 +32,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.problem.region_mesh import Region, compute_cut_off_wavelength
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
-from ddic.results.fields import write_pieces
-from ddic.results.histories import list_iterations, write_attributes, write_histories
+from ddic.results.fields import list_iterations, write_attributes, write_histories, write_pieces
 from ddic.results.near import (
     SetupMotion,
     collect_motions,
