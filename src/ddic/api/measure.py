@@ -28,7 +28,7 @@ from ddic.inputs.mesh_source import accept_mesh, convert_mapping
 from ddic.io.input_file import as_path
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
-from ddic.methods.detect import is_line_wanted
+from ddic.methods.fe_dic import is_line_wanted
 from ddic.methods.method import MethodSession, prepare_session
 from ddic.methods.run import keep_failed_run, remove_failed_field
 from ddic.parallel.phases import PhaseClock

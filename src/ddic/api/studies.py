@@ -30,8 +30,8 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.structured import build_structured_mesh
-from ddic.methods.detect import find_discontinuity
 from ddic.methods.expected_noise import estimate_nodal_noise
+from ddic.methods.fe_dic import find_discontinuity
 from ddic.methods.sweep import measure_candidates
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team

@@ -18,7 +18,7 @@ from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import FrameOpener, Inputs, inputs_kept
 from ddic.io.series_folder import FrameState
 from ddic.methods.dd_dic import DecomposedSession
-from ddic.methods.detect import add_notes, measure_and_look
+from ddic.methods.fe_dic import add_notes, measure_and_look
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import update_reference
