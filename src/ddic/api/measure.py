@@ -12,8 +12,19 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ddic.api.given import ImageLike, StartLike, convert_given_mesh, convert_start, open_given_image
-from ddic.api.options import Options, check_kinematics, choose_options, choose_team, load_given_case, make_case
+from ddic.api.given import (
+    ImageLike,
+    Options,
+    StartLike,
+    check_kinematics,
+    choose_options,
+    choose_team,
+    convert_given_mesh,
+    convert_start,
+    load_given_case,
+    make_case,
+    open_given_image,
+)
 from ddic.case.loader import LoadedCase
 from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
@@ -128,23 +139,22 @@ class Session:
 
     def _measure_frame(self, frame: Frame, start: Any, output: Path | None) -> Result:
         """Measure a frame, and publish it; a last field that did not converge is kept."""
+        # The earlier result that every frame starts from stays.
+        earlier = self._inputs.case.start.from_result
         try:
             measured = self._require_open().measure(frame, start)
             self._last = measured.unknowns
             if output is not None:
                 publish(measured, output, flip_y=self._inputs.case.output.flip_y)
-                remove_failed_field(self._team, output, self._start)
+                remove_failed_field(self._team, output, earlier)
             return gather(measured)
         except DdicError as error:
-            keep_failed_run(self._team, error, output, self._start)
+            keep_failed_run(self._team, error, output, earlier)
             if isinstance(error, ConvergenceError):
-                _gather_last_field(error)
+                last, error.last = error.last, None
+                if isinstance(last, Publishable):
+                    error.result = gather(last)
             raise
-
-    @property
-    def _start(self) -> Path | None:
-        """Earlier result that every frame starts from."""
-        return self._inputs.case.start.from_result
 
     def _open_frame(self, images: Sequence[ImageLike]) -> Frame:
         """Open a deformed image of each camera; collective."""
@@ -198,13 +208,6 @@ def _check_same_size(image: MaskedSource, reference: MaskedSource, name: str) ->
     if found != wanted:
         raise InputError(f"{name}: {found.width} x {found.height} px, but the reference image has {wanted.width} x "
                          f"{wanted.height} px; give images of one size")
-
-
-def _gather_last_field(error: ConvergenceError) -> None:
-    """Bring the last field together as a result that did not converge; collective."""
-    last, error.last = error.last, None
-    if isinstance(last, Publishable):
-        error.result = gather(last)
 
 
 def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],

@@ -214,14 +214,13 @@ def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
 def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> Piece:
     """The piece of an owned subdomain, given by its place, without the strains of its field."""
     mesh = drawn.mesh
-    on_cells = {**_cell_data(measurement, number), **_cell_deviations(measurement, number)}
-    return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types,
-                 {**_point_data(measurement, drawn, u), **_point_deviations(measurement, drawn, number)},
-                 {name: values[drawn.cells] for name, values in on_cells.items()})
+    return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, drawn, number, u),
+                 {name: values[drawn.cells] for name, values in _cell_data(measurement, number).items()})
 
 
-def _point_data(measurement: Measurement, drawn: DrawnMesh, u: Array) -> dict[str, NDArray[Any]]:
-    pixel_size = measurement.inputs.case.images.pixel_size
+def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> dict[str, NDArray[Any]]:
+    """Fields at the points of an owned subdomain, given by its place, but for strains."""
+    pixel_size, uncertainty = measurement.inputs.case.images.pixel_size, measurement.uncertainty
     vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))
     data: dict[str, NDArray[Any]] = {
         schema.DISPLACEMENT: vectors,
@@ -230,30 +229,14 @@ def _point_data(measurement: Measurement, drawn: DrawnMesh, u: Array) -> dict[st
     }
     if pixel_size is not None:
         data[schema.DISPLACEMENT_PHYSICAL] = vectors * pixel_size
+    if uncertainty is not None:
+        found = uncertainty.deviations[number]
+        for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
+                              (schema.SIGMA_NODAL_STRAIN, found.nodal_strain)):
+            data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
+        if uncertainty.bias is not None:
+            data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
     return data
-
-
-def _point_deviations(measurement: Measurement, drawn: DrawnMesh, number: int) -> dict[str, NDArray[Any]]:
-    """Standard deviations and bias at the points of an owned subdomain, given by its place; nothing without them."""
-    uncertainty = measurement.uncertainty
-    if uncertainty is None:
-        return {}
-    found = uncertainty.deviations[number]
-    data: dict[str, NDArray[Any]] = {}
-    for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
-                          (schema.SIGMA_NODAL_STRAIN, found.nodal_strain)):
-        data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
-    if uncertainty.bias is not None:
-        data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
-    return data
-
-
-def _cell_deviations(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
-    """Standard deviations on the cells of an owned subdomain, given by its place; nothing without them."""
-    uncertainty = measurement.uncertainty
-    if uncertainty is None:
-        return {}
-    return dict(zip(schema.SIGMA_CELL_STRAIN, uncertainty.deviations[number].cell_strain.T, strict=True))
 
 
 def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
@@ -273,6 +256,9 @@ def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]
     }
     if len(measurement.cameras) > 1:
         data[schema.CAMERA] = np.full(n_cells, subdomain.camera, dtype=np.int32)
+    if measurement.uncertainty is not None:
+        deviations = measurement.uncertainty.deviations[number].cell_strain
+        data |= dict(zip(schema.SIGMA_CELL_STRAIN, deviations.T, strict=True))
     return data
 
 

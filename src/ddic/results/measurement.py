@@ -396,18 +396,14 @@ def last_field_kept(clock: PhaseClock, finish: Finish) -> Iterator[None]:
         # Of one that is not raised on all ranks the job ends.
         if found is not None and is_collective(error):
             with clock.phase(Phase.FINISH):
-                error.last = _finish(finish, found, str(error))
+                try:
+                    error.last = finish(found, str(error))
+                except DdicError as second:
+                    # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the
+                    # job.
+                    if not is_collective(second):
+                        raise
         raise
-
-
-def _finish(finish: Finish, found: Any, failure: str) -> object:
-    try:
-        return finish(found, failure)
-    except DdicError as error:
-        # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the job.
-        if not is_collective(error):
-            raise
-        return None
 
 
 def gather_displacement(measurement: Measurement) -> Array | None:
