@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
-from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, parse_case
+from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, parse_stored_case
 from ddic.mesh.interpolation import locate
 
 
@@ -21,7 +21,7 @@ def get_lines(result: Result) -> list[Array]:
 
     Lines that were found are given as they were found.
     """
-    return [np.array(section["vertices"]) for section in parse_case(result.attributes).get("discontinuity", ())]
+    return [np.array(section["vertices"]) for section in parse_stored_case(result.attributes).get("discontinuity", ())]
 
 
 def get_line(result: Result, number: int) -> Array:

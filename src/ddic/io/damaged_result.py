@@ -234,7 +234,7 @@ def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> Non
         for name in names:
             if name in attributes.get(group, {}):
                 _require_number(f"{group}.{name}", attributes[group][name], is_length=name in _LENGTHS)
-    _require_case(schema.parse_case(attributes))
+    _require_case(schema.parse_stored_case(attributes))
 
 
 def _require_number(name: str, value: Any, *, is_length: bool) -> None:

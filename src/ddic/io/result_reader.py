@@ -284,7 +284,7 @@ def require_known_displacement(result: Result) -> None:
     """
     if not result.measured_nodes.any():
         raise InputError(f"{result.path}: holds no displacement of any node; start from another result")
-    if schema.parse_case(result.attributes).get("discontinuity"):
+    if schema.parse_stored_case(result.attributes).get("discontinuity"):
         # Where a line parts cells, pixels of a node's cells may say nothing of one of its sides.
         return
     n_cells = result.mesh.n_cells

@@ -214,7 +214,7 @@ def create_vtk_group(file: Any, kind: str) -> Any:
     return group
 
 
-def parse_case(attributes: Mapping[str, Mapping[str, Any]]) -> Any:
+def parse_stored_case(attributes: Mapping[str, Mapping[str, Any]]) -> Any:
     """Parse the case that stands among the attributes of a result: sections by name, of keys by name."""
     return json.loads(str(attributes.get(CASE, {}).get("json", "{}")))
 

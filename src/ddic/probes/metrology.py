@@ -132,7 +132,7 @@ def find_chain(result: Result, cells: IntArray) -> DisplacementChain:
     Those are the cells about which is asked, all where ``cells`` is empty.
     """
     case = result.attributes.get(schema.CASE, {})
-    section = schema.parse_case(result.attributes).get("regularization") or {}
+    section = schema.parse_stored_case(result.attributes).get("regularization") or {}
     # A weight given as eta says nothing of wavelengths.
     unknown = math.nan if section else 0.0
     return DisplacementChain(_find_spacing(result, cells), float(case.get("half_amplitude_shear_px", unknown)),
