@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from ddic.case.schema import Case, GaussNewtonSection, RegularizationSection
 from ddic.check.case import check_on_mesh, check_ranks_of_subdomains
@@ -105,7 +105,7 @@ def _loosen(section: GaussNewtonSection) -> GaussNewtonSection:
                                       "largest_tolerance": max(section.largest_tolerance, LARGEST_PX)})
 
 
-class LineSession:
+class LineSession(MethodSession):
     """A measurement with lines that the images correct: looked for in a frame, or refined in any.
 
     Where a line is to be found, it is prepared when a frame shows it; until then each frame is measured without. Else
@@ -148,12 +148,6 @@ class LineSession:
     def n_factorized(self) -> int:
         """Operators that this rank factorised, with the lines as they are."""
         return 0 if self._session is None else self._session.n_factorized
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def measure(self, frame: Frame, start: KnownStart | None = None) -> Measurement:
         """Measure a frame, and once more where the residual says that lines are off their places; collective.

@@ -5,7 +5,7 @@ Also what was measured, the cells on which it is written out, and what the resid
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from ddic.errors import InputError, Problems
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.inputs.cameras import Camera, Frame
+from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.inputs.rectangle import build_rectangle, check_rectangle, choose_output_lines
 from ddic.inputs.start_points import StartPoints
@@ -30,6 +30,7 @@ from ddic.kinematics.strain import compute_strain
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import Grid
+from ddic.methods.method import MethodSession
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team, require_held
@@ -209,11 +210,6 @@ class SeparatedMeasurement:
         return self.problem.size
 
     @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The camera with its reference image."""
-        return self.inputs.cameras
-
-    @property
     def unknowns(self) -> SeparatedField:
         """What another frame may start from."""
         return self.solution.field
@@ -239,7 +235,7 @@ class SeparatedMeasurement:
         writer.write_status(self.failure)
 
     def _write_residual_image(self, writer: ResultWriter | None) -> None:
-        image, columns = self.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
+        image, columns = self.inputs.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
         patches = [Patch(Window(columns.start, rows.start, columns.stop, rows.stop), values)
                    for rows, values in self.residual_rows]
         write_patches(self.team, writer, ChunkGrid(image.width, image.height), [patch.window for patch in patches],
@@ -269,7 +265,7 @@ class SeparatedMeasurement:
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from: sizes, and the images with their checksums."""
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains, "method": schema.PGD,
-                **describe_image("reference", self.cameras[0].reference.image),
+                **describe_image("reference", self.inputs.cameras[0].reference.image),
                 **describe_image("deformed", self.frame[0].image)}
 
 
@@ -308,7 +304,7 @@ def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixel
     return SeparatedMeasurement(problem, frame, solution, cells, residual, notes, failure)
 
 
-class SeparatedSession:
+class SeparatedSession(MethodSession):
     """A prepared PGD-DIC measurement, for any number of frames; use it in a ``with`` statement as other sessions.
 
     Each rank reads some bands of rows. Raises InputError on all ranks.
@@ -325,20 +321,11 @@ class SeparatedSession:
         Of the phases.
     """
 
-    # No operator of a mesh is assembled or factorised.
-    n_assembled = n_factorized = 0
-
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock) -> None:
         self._listener, self._clock = listener, clock
         self._problem = prepare_separated_problem(team, inputs, clock)
         with clock.phase(Phase.START):
             self._search = prepare_separated_search(self._problem)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def measure(self, frame: Frame, start: KnownSeparatedStart | None = None) -> SeparatedMeasurement:
         """Measure the displacement between the reference image and a frame; collective.
@@ -360,10 +347,6 @@ class SeparatedSession:
         self._listener.note(solution.stop)
         with self._clock.phase(Phase.FINISH):
             return finish_separated(problem, frame, pixels, notes, solution)
-
-    def estimate_noise_floor(self, measured: SeparatedMeasurement) -> float:
-        """Tell that it is not known, nan: it follows from linear steps on a mesh."""
-        return float("nan")
 
     def _report(self, record: CorrectionRecord) -> None:
         """Tell a correction, and end there where a signal asked for it."""

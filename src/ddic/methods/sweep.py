@@ -7,7 +7,7 @@ A candidate is one element size and one cut-off wavelength: prepared, and measur
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -55,7 +55,7 @@ T = TypeVar("T")
 
 
 class CandidateSession:
-    """A candidate, prepared at its first measurement; use it in a ``with`` statement.
+    """A candidate, prepared at its first measurement; the caller's to close.
 
     Parameters
     ----------
@@ -72,12 +72,6 @@ class CandidateSession:
     def __init__(self, team: Team, candidate: Candidate, inputs: Inputs, *, stays_open: bool) -> None:
         self.candidate, self._team, self._inputs, self._stays_open = candidate, team, inputs, stays_open
         self._session: DecomposedSession | None = None
-
-    def __enter__(self) -> CandidateSession:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def measure_pair(self, frame: Frame, start: EarlierResult | None) -> tuple[Trial, Result | None]:
         """Measure the pair of the case; collective.
@@ -257,7 +251,7 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
     material = Material() if section is None else build_material(section)
     stays_open = reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
     with ExitStack() as stack:
-        sessions = [stack.enter_context(CandidateSession(team, candidate, inputs, stays_open=stays_open))
+        sessions = [stack.enter_context(closing(CandidateSession(team, candidate, inputs, stays_open=stays_open)))
                     for candidate, inputs in varied]
         trials, fields = _measure_pair(sessions, frame, advance)
         points = team.alike(lambda: draw_points(trials, fields))
