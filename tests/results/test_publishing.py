@@ -197,22 +197,6 @@ def test_what_is_gathered_is_what_the_file_holds(shared_path: Path) -> None:
         name: set(group) for name, group in stored.attributes.items()}
 
 
-@pytest.mark.parallel(RANKS)
-def test_values_at_points_are_those_of_the_result(shared_path: Path) -> None:
-    team = Team(MPI.COMM_WORLD)
-    measured = measure(team, _write(shared_path))
-    gathered = gather(measured)
-    rng = np.random.default_rng(0)
-    inside = rng.uniform(24, 168, (200, 2))
-    points = np.concatenate([inside, gathered.mesh.nodes, [[10.0, 100.0], [169.0, 100.0]]])
-    found = measured.at(points)
-    expected = gathered.at(points[:-2])
-    # A point on an interface gets the mean of its copies, which are one number: rounding of values of a pixel or so.
-    np.testing.assert_allclose(found[:-2], expected, rtol=0, atol=1e-12)
-    assert np.isnan(found[-2:]).all()
-    assert team.gather_lists([found.tobytes()]) == [found.tobytes()] * team.size
-
-
 WRITES = ("create_pieces", "write_pieces", "write_table", "create_residual_image", "write_residual_chunk",
           "write_attributes", "_refuse_missing_pieces")
 

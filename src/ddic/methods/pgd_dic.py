@@ -59,7 +59,7 @@ class OutputCells:
 
     Attributes
     ----------
-    x, y : (n,) array
+    grid : Grid
         The lines, pixels.
     n_pixels : (n_rows n_columns,) array
         That count, row by row.
@@ -71,8 +71,7 @@ class OutputCells:
         For the user.
     """
 
-    x: Array
-    y: Array
+    grid: Grid
     n_pixels: Array
     residual_rms: Array
     errors: CellErrors
@@ -80,12 +79,11 @@ class OutputCells:
 
     def build_mesh(self) -> Mesh:
         """Mesh them: Q4 cells, row by row."""
-        grid = Grid(self.x, self.y)
-        return build_mesh(grid.nodes, {Q4: grid.quads})
+        return build_mesh(self.grid.nodes, {Q4: self.grid.quads})
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
         """Evaluate a displacement at their nodes, (n_nodes, 2), row by row, pixels."""
-        return field.evaluate_on_grid(self.x, self.y).reshape(-1, 2)
+        return field.evaluate_on_grid(self.grid.x, self.grid.y).reshape(-1, 2)
 
 
 def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
@@ -106,7 +104,7 @@ def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: Ref
     errors = find_cell_errors(team, [residuals] if team.is_root else [])
     notes = describe_doubtful_cells(team, errors)
     rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
-    return OutputCells(x, y, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
+    return OutputCells(Grid(x, y), n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
 
 
 def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferencePixels, number: int,
@@ -213,10 +211,6 @@ class SeparatedMeasurement:
     def unknowns(self) -> SeparatedField:
         """What another frame may start from."""
         return self.solution.field
-
-    def at(self, points: Array) -> Array:
-        """Evaluate the displacement at points, (n, 2), pixels; nan outside the rectangle."""
-        return self.solution.field.at(points)
 
     def write(self, writer: ResultWriter | None) -> None:
         """Write the products, the displacement on cells, tables and the residual image; collective.

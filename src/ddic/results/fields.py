@@ -153,7 +153,8 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     team, images = measurement.team, measurement.inputs.case.images
     n_nodes = measurement.region.n_nodes
     drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
-    sizes = team.gather_lists([_size(piece.mesh) for piece in drawn])
+    sizes = team.gather_lists([PieceSize(piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity))
+                               for piece in drawn])
     length_unit = None if images.pixel_size is None else images.length_unit
     at_points = (*schema.point_fields(length_unit), *schema.nodal_strain_fields())
     on_cells = schema.cell_fields(len(measurement.cameras))
@@ -172,10 +173,6 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
         n_written += n_pieces
 
     stream_to_root(team, _make_batches(measurement, drawn, gradients), write)
-
-
-def _size(mesh: Mesh) -> PieceSize:
-    return PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))
 
 
 def _group(counts: Sequence[int]) -> Iterator[range]:

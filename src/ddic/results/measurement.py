@@ -23,7 +23,6 @@ from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
-from ddic.mesh.interpolation import interpolate
 from ddic.mesh.plane import build_tree
 from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
@@ -177,22 +176,6 @@ class Measurement:
     def grey_correction(self) -> GreyCorrection:
         """Correction of grey levels that was taken."""
         return self.model.correction
-
-    def at(self, points: Array) -> Array:
-        """Interpolate the displacement by shape functions, never across a hole; collective.
-
-        ``points`` are positions in the specimen's frame, (n, 2), pixels, the same on all ranks. The displacement, (n,
-        2), pixels, is on all ranks too; nan outside the mesh and where nothing was measured.
-        """
-        total, n_found = np.zeros(points.shape), np.zeros(len(points))
-        for subdomain, displacement in zip(self.subdomains, self.displacements, strict=True):
-            found = interpolate(subdomain.mesh, displacement.reshape(subdomain.mesh.nodes.shape), points)
-            inside = np.isfinite(found).all(axis=1)
-            total[inside] += found[inside]
-            n_found += inside
-        # A point on an interface lies in several subdomains, which hold the same displacement there.
-        total, n_found = self.team.sum(total), self.team.sum(n_found)
-        return np.where(n_found[:, None] > 0, total / np.maximum(n_found, 1.0)[:, None], np.nan)
 
     def write(self, writer: ResultWriter | None) -> None:
         """Write fields, histories and residual images; collective, the writer is rank 0's, None elsewhere."""
@@ -378,16 +361,12 @@ def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displac
             "not determine it; use larger elements or a longer regularization.cut_off_wavelength")
 
 
-Finish = Callable[[Any, str], object]
-"""Makes a measurement of a solution and the reason why it is no result; collective."""
-
-
 @contextmanager
-def last_field_kept(clock: PhaseClock, finish: Finish) -> Iterator[None]:
+def last_field_kept(clock: PhaseClock, finish: Callable[[Any, str], object]) -> Iterator[None]:
     """Let a ConvergenceError bring the measurement of its last field in place of the solver's solution; collective.
 
-    ``finish`` makes the measurement. The error is raised as it was, without a measurement where its solution shows
-    nothing.
+    ``finish`` makes the measurement of a solution and the reason why it is no result. The error is raised as it was,
+    without a measurement where its solution shows nothing.
     """
     try:
         yield

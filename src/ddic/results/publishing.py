@@ -18,7 +18,6 @@ import mpi4py.MPI
 import numpy as np
 import petsc4py.PETSc
 
-from ddic.arrays import Array
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
@@ -109,20 +108,6 @@ class Publishable(Protocol):
             The same on all ranks.
         """
 
-    def at(self, points: Array) -> Array:
-        """Interpolate the displacement.
-
-        Parameters
-        ----------
-        points : (n, 2) array
-            Where, pixels.
-
-        Returns
-        -------
-        (n, 2) array
-            Pixels; nan where nothing was measured.
-        """
-
 
 def write_case(measured: Publishable, writer: ResultWriter, of_method: dict[str, Any]) -> None:
     """Write the case with what a method has to say beside it, and the times and units; on rank 0."""
@@ -151,16 +136,14 @@ def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
 @cache
 def _collect_versions() -> dict[str, str | int]:
     """Versions of what runs; looked up once a process, as each frame of a series asks."""
-    facts: dict[str, str | int] = {
+    return {
         "ddic": __version__,
         "commit": find_source_commit(),
         "python": platform.python_version(),
         "petsc": ".".join(str(n) for n in petsc4py.PETSc.Sys.getVersion()),
         "mpi": mpi4py.MPI.Get_library_version().splitlines()[0].strip("\0 "),
+        **{library: metadata.version(library) for library in _LIBRARIES},
     }
-    for library in _LIBRARIES:
-        facts[library] = metadata.version(library)
-    return facts
 
 
 @lru_cache(maxsize=8)

@@ -327,16 +327,12 @@ def collect_by_size(sweep: Sweep) -> list[SweptElements]:
     for size in dict.fromkeys(trial.candidate.element_size for trial in trials):
         members = [trial for trial in trials if trial.candidate.element_size == size]
         recommended = next((k for k, trial in enumerate(members) if trial is sweep.best), None)
-        groups.append(SweptElements("of the mesh file" if size is None else f"{size:g} px",
-                                    np.array([trial.candidate.wavelength for trial in members]),
-                                    _collect(members, "residual"), _collect(members, "gap"),
-                                    _collect(members, "predicted_error"), _collect(members, "virtual_error"),
-                                    recommended))
+        wavelengths = np.array([trial.candidate.wavelength for trial in members])
+        found = [(trial.residual, trial.gap, trial.predicted_error, trial.virtual_error) for trial in members]
+        residuals, gaps, predicted, virtual = np.array(found).T
+        label = "of the mesh file" if size is None else f"{size:g} px"
+        groups.append(SweptElements(label, wavelengths, residuals, gaps, predicted, virtual, recommended))
     return groups
-
-
-def _collect(trials: list[Trial], name: str) -> Array:
-    return np.array([getattr(trial, name) for trial in trials], dtype=np.float64)
 
 
 def _sort(sweep: Sweep) -> list[Trial]:
