@@ -32,13 +32,7 @@ from ddic.problem.region_mesh import Region, compute_cut_off_wavelength
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.fields import list_iterations, write_attributes, write_histories, write_pieces
-from ddic.results.near import (
-    SetupMotion,
-    collect_motions,
-    describe_motions,
-    estimate_covariances,
-    summarize_near_field,
-)
+from ddic.results.near import SetupMotion, measure_motions, summarize_near_field
 from ddic.results.publishing import describe_image
 from ddic.results.residual_image import write_residual_images
 from ddic.results.summary import Summary, find_field_ranges
@@ -238,17 +232,10 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     field, excluded = solved.field, solved.seen.excluded
     # Cells that are pulled show their residual.
     model = replace(solved.used, pulled=None)
-    motions: tuple[SetupMotion, ...] = ()
-    if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
-        solver = problem.solver
-        spread = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
-        motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
+    motions = measure_motions(problem, field.q)
     is_known = solved.is_evaluated and not excluded.is_any(team)
     evaluation = solved.seen.evaluation if is_known else model.evaluate(field.q)
-    cell_errors, lost = _judge_cells(problem, model, evaluation)
-    are_led_astray = _find_cells_near_pulled(problem, excluded)
-    cell_errors = [replace(of_cells, doubtful=of_cells.doubtful | is_led)
-                   for of_cells, is_led in zip(cell_errors, are_led_astray, strict=True)]
+    cell_errors, lost = _judge_cells(problem, model, evaluation, excluded)
     unmeasured = find_unmeasured_nodes(problem, evaluation)
     uncertainty: FieldUncertainty | None = None
     of_uncertainty: tuple[str, ...] = ()
@@ -294,13 +281,17 @@ def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:
     return (f"grey levels: {whose[model.correction]}, chosen from the pair (correlation.grey_correction)",)
 
 
-def _judge_cells(problem: WeightedProblem, model: ResidualModel,
-                 evaluation: Evaluation) -> tuple[list[CellErrors], str]:
+def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
+                 excluded: Exclusions) -> tuple[list[CellErrors], str]:
     """What the residual says about the cells of each owned subdomain, and why none is believed; collective."""
     team = problem.team
     owned = list(zip(model.views, evaluation.residuals, _take_hessians(problem, model), strict=True))
     errors = find_cell_errors(team, team.together(lambda: [
         measure_cell_residuals(view, hessian, residual) for (view, *_), (residual, *_), hessian in owned]))
+    # What is left of a cell that is mostly hidden says little of it, whatever its residual.
+    are_hidden = [residual.cell_sums.n_pixels < LEAST_USED * view.prepared.count_pixels()
+                  for (view, *_), (residual, *_) in zip(model.views, evaluation.residuals, strict=True)]
+    doubts = [are_hidden, _find_cells_near_pulled(problem, excluded)]
     lost = ""
     if model.blurs or problem.reference.inputs.case.regularization is None:
         # Where little contrast is left, the residual of a wrong place may be as small as that of the right one.
@@ -308,16 +299,12 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel,
         deviations = estimate_node_deviations(model, problem.solver.assembly.systems, noise, by_pixels_alone=True)
         are_noisy = [find_noisy_cells(subdomain.mesh, of_nodes)
                      for subdomain, of_nodes in zip(model.subdomains, deviations, strict=True)]
-        errors = [replace(of_cells, doubtful=of_cells.doubtful | is_noisy)
-                  for of_cells, is_noisy in zip(errors, are_noisy, strict=True)]
+        doubts.append(are_noisy)
         if model.blurs:
             are_shown = [of_views[0].cell_sums.n_pixels > 0 for of_views in evaluation.residuals]
             lost = describe_lost_field(team, are_noisy, are_shown)
-    # What is left of a cell that is mostly hidden says little of it, whatever its residual.
-    are_hidden = [residual.cell_sums.n_pixels < LEAST_USED * view.prepared.count_pixels()
-                  for (view, *_), (residual, *_) in zip(model.views, evaluation.residuals, strict=True)]
-    return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
-            for of_cells, is_hidden in zip(errors, are_hidden, strict=True)], lost
+    return [replace(of_cells, doubtful=np.logical_or.reduce([of_cells.doubtful, *reasons]))
+            for of_cells, *reasons in zip(errors, *doubts, strict=True)], lost
 
 
 def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[BoolArray]:
