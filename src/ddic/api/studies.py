@@ -112,15 +112,10 @@ def _list_candidates(inputs: Inputs, wavelengths: Sequence[float] | None,
     if not pairs:
         raise InputError(f"--lengths {lengths}: shorter than {SHORTEST_WAVELENGTH:g} elements, all of them; give "
                          "longer ones")
-    own = _find_own(case)
-    return sorted(pairs, key=lambda candidate: candidate != own)
-
-
-def _find_own(case: Case) -> Candidate:
-    """What the case itself says."""
     section, structured = case.regularization, case.mesh.structured
-    length = 0.0 if section is None else section.cut_off_wavelength or 0.0
-    return Candidate(None if structured is None else structured.element_size, length)
+    own = Candidate(None if structured is None else structured.element_size,
+                    0.0 if section is None else section.cut_off_wavelength or 0.0)
+    return sorted(pairs, key=lambda candidate: candidate != own)
 
 
 def _vary(inputs: Inputs, candidate: Candidate) -> Inputs:
@@ -315,11 +310,11 @@ def _mesh_inside(shape: tuple[int, ...], size: float) -> Mesh:
     return build_structured_mesh((MARGIN, MARGIN, width - MARGIN, height - MARGIN), size)
 
 
-def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any] | None, noise: float) -> float:
+def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any], noise: float) -> float:
     """Displacement noise at nodes by the operator alone, pixels."""
     reference = MaskedSource(ArraySource(Path("image"), grey.astype(np.float32)))
     camera = make_first_camera(reference, None)
-    inputs = Inputs(make_case(settings or {}), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
+    inputs = Inputs(make_case(settings), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
     try:
         return estimate_nodal_noise(inputs, noise)
     except SingularSubdomainError:
@@ -364,7 +359,7 @@ def estimate_nodal_noise(inputs: Inputs, sigma: float) -> float:
         problem.destroy()
 
 
-def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settings: Mapping[str, Any] | None,
+def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settings: Mapping[str, Any],
                     known: _Known) -> tuple[float, float]:
     """Mean and standard deviation of the error, pixels; nan where nothing converges."""
     mesh = _mesh_inside(pair[0].shape, size)

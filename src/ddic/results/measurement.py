@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
@@ -285,7 +284,11 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
                  excluded: Exclusions) -> tuple[list[CellErrors], str]:
     """What the residual says about the cells of each owned subdomain, and why none is believed; collective."""
     team = problem.team
-    owned = list(zip(model.views, evaluation.residuals, _take_hessians(problem, model), strict=True))
+    # Of the own camera, and of the reference image as it was compared.
+    hessians = [own for own, *_ in problem.reference.hessians]
+    if model.blurs:
+        hessians = team.together(lambda: [own.assemble_hessian() for own, *_ in model.views])
+    owned = list(zip(model.views, evaluation.residuals, hessians, strict=True))
     errors = find_cell_errors(team, team.together(lambda: [
         measure_cell_residuals(view, hessian, residual) for (view, *_), (residual, *_), hessian in owned]))
     # What is left of a cell that is mostly hidden says little of it, whatever its residual.
@@ -321,13 +324,6 @@ def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> l
         return [np.zeros(len(of_mesh), dtype=bool) for of_mesh in centroids]
     tree = build_tree(np.concatenate(pulled))
     return [tree.query(of_mesh)[0] <= wavelength for of_mesh in centroids]
-
-
-def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[sparse.csr_matrix]:
-    """M of each owned subdomain's own camera, of the reference image as it was compared."""
-    if model.blurs:
-        return problem.team.together(lambda: [own.assemble_hessian() for own, *_ in model.views])
-    return [own for own, *_ in problem.reference.hessians]
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
