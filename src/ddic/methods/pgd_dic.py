@@ -86,16 +86,15 @@ class OutputCells:
         return field.evaluate_on_grid(self.grid.x, self.grid.y).reshape(-1, 2)
 
 
-def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: ReferencePixels,
-                       residual: Sequence[Rows]) -> OutputCells:
+def evaluate_output_cells(team: Team, grid: Grid, reference: ReferencePixels, residual: Sequence[Rows]) -> OutputCells:
     """Sum the residual over cells, the same on all ranks; collective.
 
-    ``lines`` are those between the cells, along x and along y, pixels. ``residual`` is that of this rank's bands,
-    (n_rows, width) each, grey levels, grey levels corrected.
+    ``grid`` has the lines between the cells, pixels. ``residual`` is that of this rank's bands, (n_rows, width) each,
+    grey levels, grey levels corrected.
     """
-    x, y = lines
-    sums = team.sum(sum((_sum_band(LineElements(x), LineElements(y), reference, number, rows)
-                         for number, rows in enumerate(residual)), np.zeros((4, len(y) - 1, len(x) - 1))))
+    along_x, along_y = LineElements(grid.x), LineElements(grid.y)
+    sums = team.sum(sum((_sum_band(along_x, along_y, reference, number, rows) for number, rows in enumerate(residual)),
+                        np.zeros((4, along_y.n_nodes - 1, along_x.n_nodes - 1))))
     n, r, rr, slopes = sums.reshape(4, -1)
     safe = np.maximum(n, 1.0)
     # The mean of a cell's residual is brightness, not displacement.
@@ -104,7 +103,7 @@ def evaluate_output_cells(team: Team, lines: tuple[Array, Array], reference: Ref
     errors = find_cell_errors(team, [residuals] if team.is_root else [])
     notes = describe_doubtful_cells(team, errors)
     rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
-    return OutputCells(Grid(x, y), n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
+    return OutputCells(grid, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
 
 
 def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferencePixels, number: int,
@@ -292,8 +291,8 @@ def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixel
     ``failure`` says why the displacement is no result, nothing where it converged.
     """
     residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
-    lines = choose_output_lines(problem.inputs.case, problem.rectangle)
-    cells = evaluate_output_cells(problem.team, lines, problem.reference, residual)
+    grid = Grid(*choose_output_lines(problem.inputs.case, problem.rectangle))
+    cells = evaluate_output_cells(problem.team, grid, problem.reference, residual)
     notes = (*problem.inputs.notes, *notes, failure or solution.stop, *cells.notes)
     return SeparatedMeasurement(problem, frame, solution, cells, residual, notes, failure)
 

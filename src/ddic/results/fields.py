@@ -267,12 +267,6 @@ def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> 
     return np.where(n > 0, np.sqrt(squares / np.maximum(n, 1.0)), np.nan)
 
 
-def write_histories(measurement: Measurement, writer: ResultWriter) -> None:
-    """Write the table of Gauss-Newton's iterations and the Krylov residuals of each; on rank 0."""
-    writer.write_table(schema.GAUSS_NEWTON, list_iterations(measurement))
-    writer.write_curves(schema.KRYLOV, [r.krylov_history for r in measurement.records])
-
-
 def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
     """List Gauss-Newton's iterations, columns by name; the residual is that before each correction."""
     records = measurement.records
@@ -296,8 +290,13 @@ def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
     return columns
 
 
-def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
-    """Write the case, the times and units, and what is known of near-field set-ups; on rank 0."""
+def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
+    """Write the table of Gauss-Newton's iterations, the Krylov residuals of each, and all attributes; on rank 0.
+
+    These are the case, times and units, how noise was judged, what is known of near-field set-ups, and the status.
+    """
+    writer.write_table(schema.GAUSS_NEWTON, list_iterations(measurement))
+    writer.write_curves(schema.KRYLOV, [r.krylov_history for r in measurement.records])
     write_case(measurement, writer, {"largest_jump_px": measurement.largest_jump,
                                      "notes": "\n".join(measurement.inputs.notes)})
     if measurement.uncertainty is not None:
@@ -306,3 +305,4 @@ def write_attributes(measurement: Measurement, writer: ResultWriter) -> None:
         writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
     for motion in measurement.motions:
         writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))
+    writer.write_status(measurement.failure)

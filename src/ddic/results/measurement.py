@@ -30,7 +30,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.problem.region_mesh import Region, compute_cut_off_wavelength
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
-from ddic.results.fields import list_iterations, write_attributes, write_histories, write_pieces
+from ddic.results.fields import list_iterations, write_pieces, write_tables
 from ddic.results.near import SetupMotion, measure_motions, summarize_near_field
 from ddic.results.publishing import describe_image
 from ddic.results.residual_image import write_residual_images
@@ -172,14 +172,8 @@ class Measurement:
 
     def write(self, writer: ResultWriter | None) -> None:
         """Write fields, histories and residual images; collective, the writer is rank 0's, None elsewhere."""
-        def write_on_root() -> None:
-            opened = require_held(writer)
-            write_histories(self, opened)
-            write_attributes(self, opened)
-            opened.write_status(self.failure)
-
         write_pieces(self, writer)
-        self.team.build_on_root(write_on_root)
+        self.team.build_on_root(lambda: write_tables(self, require_held(writer)))
         if self.inputs.case.output.residual_image:
             write_residual_images(self, writer)
 
