@@ -160,7 +160,7 @@ def _begin(images: SeriesImages, before: Sequence[FrameRecord], folder: SeriesFo
 
 
 def _keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
-                writer: BackgroundWriter) -> MeasuredState | None:
+                writer: BackgroundWriter) -> FrameState | None:
     """Begin to write a frame, or note that it could not be measured; collective, the writer is rank 0's.
 
     Returns what the next frame starts from, as it is written; None where it could not be measured. Raises OSError on
@@ -171,24 +171,25 @@ def _keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
         _note_failure(team, result, record, folder)
         return None
     measurement = replace(result, inputs=result.inputs.with_frame(record.number - 1))
-    state = MeasuredState(record.time, measurement.unknowns, measurement.shown_share,
-                          measurement.excluded.has_held_off(team))
+    unknowns = {subdomain.index: q
+                for subdomain, q in zip(measurement.subdomains, measurement.unknowns, strict=True)}
+    state = FrameState(record.time, unknowns, measurement.noise, measurement.shown_share,
+                       measurement.excluded.has_held_off(team))
     content = _pack_frame(measurement, record, state)
     path = folder.get_frame_path(record.number)
     team.on_root(lambda: writer.write(path, require_held(content)))
     return state
 
 
-def _pack_frame(measurement: Measurement, record: FrameRecord, state: MeasuredState) -> bytes | None:
+def _pack_frame(measurement: Measurement, record: FrameRecord, state: FrameState) -> bytes | None:
     """The file of a frame, with what the next one goes on from; on rank 0, collective."""
-    own = {f"{subdomain.index:06d}": np.asarray(q)
-           for subdomain, q in zip(measurement.subdomains, state.q, strict=True)}
-    gathered = measurement.team.gather_to(own, 0)
+    gathered = measurement.team.gather_to(state.unknowns, 0)
 
     def add(opened: ResultWriter) -> None:
-        by_subdomain = {name: q for of_rank in require_held(gathered) for name, q in of_rank.items()}
+        by_subdomain = {f"{number:06d}": np.asarray(q)
+                        for of_rank in require_held(gathered) for number, q in of_rank.items()}
         opened.write_attributes(schema.SERIES, {"record": record.as_json(), "time": record.time,
-                                                "noise": np.array(measurement.noise, dtype=float),
+                                                "noise": np.array(state.noise, dtype=float),
                                                 "shown_share": state.shown_share, "holds_back": state.holds_back})
         opened.write_arrays(f"{schema.SERIES}/unknowns", by_subdomain)
 
@@ -262,30 +263,8 @@ class SeriesImages:
     clock: PhaseClock
 
 
-@dataclass(frozen=True)
-class MeasuredState:
-    """What a frame starts from of an earlier one.
-
-    Attributes
-    ----------
-    time : float
-        Of the earlier frame, unit chosen by the user.
-    q : sequence of (n_unknowns,) array
-        Unknowns of owned subdomains since the first reference image.
-    shown_share : float
-        Share of the cells that were seen where the field put them.
-    holds_back : bool
-        Whether mechanics held cells back from where they were seen, so that the field shows no way to the next frame.
-    """
-
-    time: float
-    q: Sequence[Array]
-    shown_share: float
-    holds_back: bool
-
-
-def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[MeasuredState]:
-    """Take up what an earlier run has measured, on owned subdomains; collective.
+def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[FrameState]:
+    """Take up of what an earlier run has measured what owned subdomains need; collective.
 
     Cameras of ``problem`` are weighted as they were. The list is empty where the subdomains are others: the next frame
     is searched for then.
@@ -297,12 +276,12 @@ def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> li
                   for state in states for subdomain in subdomains)
     if problem.team.sum(n_other):
         return []
-    return [MeasuredState(state.time, [state.unknowns[subdomain.index] for subdomain in subdomains], state.shown_share,
-                          state.holds_back) for state in states]
+    return [replace(state, unknowns={subdomain.index: state.unknowns[subdomain.index] for subdomain in subdomains})
+            for state in states]
 
 
-def choose_start(wanted: str, states: Sequence[MeasuredState], time: float) -> tuple[str, Sequence[Array] | None]:
-    """Choose what a frame starts from of those before it: its name, and unknowns of owned subdomains.
+def choose_start(wanted: str, states: Sequence[FrameState], time: float) -> tuple[str, Mapping[int, Array] | None]:
+    """Choose what a frame starts from of those before it: its name, and unknowns by owned subdomain.
 
     These are None where it is to be searched for. ``wanted`` is ``series.start`` of the case; ``states`` are those of
     the last frames that were measured, two at most; ``time`` is the frame's, unit chosen by the user.
@@ -312,10 +291,11 @@ def choose_start(wanted: str, states: Sequence[MeasuredState], time: float) -> t
         return SEARCH, None
     last = states[-1]
     if wanted != "extrapolate" or len(states) == 1:
-        return "the last frame", last.q
+        return "the last frame", last.unknowns
     before = states[-2]
     share = (time - last.time) / (last.time - before.time)
-    return "the last two frames", [q + share * (q - q_before) for q, q_before in zip(last.q, before.q, strict=True)]
+    return "the last two frames", {number: q + share * (q - before.unknowns[number])
+                                   for number, q in last.unknowns.items()}
 
 
 class ReferenceSession:
@@ -364,7 +344,7 @@ class ReferenceSession:
         """
         return cls(images, place_lines(images.opener.inputs, lines), lines, first_frame)
 
-    def update(self, record: FrameRecord, state: MeasuredState) -> ReferenceSession:
+    def update(self, record: FrameRecord, state: FrameState) -> ReferenceSession:
         """Prepare a session that compares with a frame that was measured; collective.
 
         This one stays; the other one is the caller's to close. ``state`` is the frame's field on this session's
@@ -377,18 +357,18 @@ class ReferenceSession:
         inputs = update_reference(images.team, self.session.problem.reference, frame, displacement)
         return ReferenceSession(images, inputs, of=record)
 
-    def measure(self, frame: Frame, states: Sequence[MeasuredState], time: float) -> Measurement:
+    def measure(self, frame: Frame, states: Sequence[FrameState], time: float) -> Measurement:
         """Measure a frame from those before it, or from a search where there are none or they lead nowhere; collective.
 
         What earlier frames changed of the operators is forgotten. Raises InputError, ConvergenceError or
         SingularSubdomainError on all ranks, where the search does not converge either.
         """
-        session, listener = self.session, self.images.listener
-        self.started_from, q = choose_start(self.images.opener.inputs.case.series.start, states, time)
-        if q is not None:
+        session, reference, listener = self.session, self.session.problem.reference, self.images.listener
+        self.started_from, unknowns = choose_start(self.images.opener.inputs.case.series.start, states, time)
+        if unknowns is not None:
             session.begin_anew()
             try:
-                start = session.problem.reference.convert_to_reference(q)
+                start = reference.convert_to_reference([unknowns[s.index] for s in reference.subdomains])
                 return session.measure(frame, start, LEAST_SHOWN * states[-1].shown_share)
             except (ConvergenceError, SingularSubdomainError) as error:
                 if not is_collective(error):
@@ -409,7 +389,7 @@ class ReferenceSession:
             self._floor_by_grey_level = self.session.estimate_noise_floor(measurement) / max(deviation, 1e-300)
         return math.hypot(self._noise_floor, self._floor_by_grey_level * deviation)
 
-    def restrict_states(self, other: ReferenceSession, states: Sequence[MeasuredState]) -> list[MeasuredState]:
+    def restrict_states(self, other: ReferenceSession, states: Sequence[FrameState]) -> list[FrameState]:
         """Restrict states on another session's subdomains to this one's; collective.
 
         None are left where other lines cut the mesh.
@@ -420,17 +400,17 @@ class ReferenceSession:
             return []
         fields = [other._gather(state) for state in states]
         subdomains = self.session.problem.reference.subdomains
-        return [replace(state, q=[field[subdomain.node_ids].ravel() for subdomain in subdomains])
+        return [replace(state, unknowns={s.index: field[s.node_ids].ravel() for s in subdomains})
                 for state, field in zip(states, fields, strict=True)]
 
-    def _gather(self, state: MeasuredState) -> Array:
+    def _gather(self, state: FrameState) -> Array:
         """The displacement of all nodes since the first reference image, (n_nodes, 2), pixels; collective.
 
         The unknowns of the subdomains are displacements of nodes.
         """
         reference = self.session.problem.reference
-        own = [(subdomain.node_ids, q.reshape(-1, 2))
-               for subdomain, q in zip(reference.subdomains, state.q, strict=True)]
+        own = [(subdomain.node_ids, state.unknowns[subdomain.index].reshape(-1, 2))
+               for subdomain in reference.subdomains]
         return place_at_nodes(self.images.team.gather_lists(own), reference.region.n_nodes)
 
     def close(self) -> None:
@@ -466,7 +446,7 @@ class MeasuredFrame:
     session: ReferenceSession
 
 
-def measure_frame(session: ReferenceSession, number: int, states: Sequence[MeasuredState]) -> MeasuredFrame:
+def measure_frame(session: ReferenceSession, number: int, states: Sequence[FrameState]) -> MeasuredFrame:
     """Measure a frame, once more where its residual says that lines are off; collective.
 
     What cannot be measured is told. Frames are numbered from 1; ``states`` are those of the last frames that were
@@ -492,7 +472,7 @@ def measure_frame(session: ReferenceSession, number: int, states: Sequence[Measu
     return MeasuredFrame(record, measurement, session)
 
 
-def _measure_on_lines(session: ReferenceSession, frame: Frame, states: Sequence[MeasuredState],
+def _measure_on_lines(session: ReferenceSession, frame: Frame, states: Sequence[FrameState],
                       time: float) -> tuple[ReferenceSession, Measurement]:
     """Measure a frame with a session, or with one of lines that it refines; collective."""
     images = session.images
@@ -522,13 +502,13 @@ class FramesSoFar:
         Of the reference image in use; it changes with the frames.
     records : list of FrameRecord
         Of all frames so far, in order.
-    states : list of MeasuredState
+    states : list of FrameState
         Of the last that were measured, two at most, on the session's subdomains.
     """
 
     session: ReferenceSession
     records: list[FrameRecord]
-    states: list[MeasuredState]
+    states: list[FrameState]
 
     def measure(self, number: int) -> MeasuredFrame:
         """Measure a frame, with the last one that was measured as its reference image where that is due; collective.
@@ -547,7 +527,7 @@ class FramesSoFar:
                 again.session.close()
         return frame
 
-    def add(self, frame: MeasuredFrame, state: MeasuredState | None) -> None:
+    def add(self, frame: MeasuredFrame, state: FrameState | None) -> None:
         """Add a frame, and go on with the session that measured it; ``state`` is None where none did; collective."""
         states = frame.session.restrict_states(self.session, self.states)
         if frame.session is not self.session:
