@@ -13,10 +13,11 @@ from mpi4py import MPI
 from ddic.case.loader import LoadedCase, load_case
 from ddic.inputs.inputs import open_inputs
 from ddic.methods.dd_dic import DecomposedSession
+from ddic.methods.run import gather_phase_times, write_times
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.publishing import Destination, gather_phase_times, publish
+from ddic.results.publishing import publish
 
 
 def measure_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, float], int]:
@@ -45,7 +46,8 @@ def measure_seconds(team: Team, loaded: LoadedCase) -> tuple[float, dict[str, fl
     with DecomposedSession(team, inputs, Silence(), clock, frame) as session:
         measurement = session.measure(frame)
         seconds = time.process_time() - start
-    publish(measurement, Destination(loaded.case.output.file, times=gather_phase_times(team, clock)))
+    times = gather_phase_times(team, clock)
+    publish(measurement, loaded.case.output.file, add=lambda writer: write_times(writer, times))
     by_rank = team.gather_lists([clock.cpu])
     phases = {str(phase): float(sum(cpu.get(phase, 0.0) for cpu in by_rank)) for phase in clock.cpu}
     return float(sum(team.gather_lists([seconds]))), phases, len(measurement.records)

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ddic.api.studies import estimate_nodal_noise
 from ddic.case.loader import load_case
+from ddic.inputs.inputs import open_inputs
 from ddic.io.result_reader import read_result
-from ddic.methods.expected_noise import expected_noise
+from ddic.parallel.team import Team
 from ddic.synth.truth import load_truth
 
 
@@ -19,8 +21,8 @@ def main(folder: Path) -> None:
     sigma = json.loads(truth_file.read_text())["image"]["noise"]
     # Rounding to whole grey levels is noise too, of variance 1/12.
     total = float(np.hypot(sigma, 12**-0.5))
-    everywhere = np.ones(result.mesh.n_nodes, dtype=bool)
-    floor = expected_noise(load_case(folder / "case.toml").case, total, everywhere)
+    inputs, _ = open_inputs(Team.alone(), load_case(folder / "case.toml"))
+    floor = estimate_nodal_noise(inputs, total)
     rms = float(np.sqrt((error**2).mean()))
     print(f"RMS error against the known field: {rms:.5f} px per component, largest {np.abs(error).max():.4f} px")
     print(f"noise floor, sigma = {sigma} grey levels in both images: {floor:.5f} px; ratio {rms / floor:.2f}")

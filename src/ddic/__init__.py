@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 from ddic.version import __version__
 
 if TYPE_CHECKING:
-    from ddic.api.given import Image
+    from ddic.api.given import Image, Options
     from ddic.api.measure import Session, measure, prepare
-    from ddic.api.options import Options
     from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty
     from ddic.api.synthetic import make_synthetic_pair
     from ddic.case.loader import load_case
@@ -46,9 +45,8 @@ if TYPE_CHECKING:
     from ddic.results.sweep import Candidate, Sweep, Trial
 
 _PUBLIC = {
-    "api.given": ("Image",),
+    "api.given": ("Image", "Options"),
     "api.measure": ("Session", "measure", "prepare"),
-    "api.options": ("Options",),
     "api.studies": ("Uncertainty", "choose_regularization", "estimate_uncertainty"),
     "api.synthetic": ("make_synthetic_pair",),
     "case.loader": ("load_case",),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ddic.api.options import make_case
+from ddic.api.given import make_case
 from ddic.case.loader import LoadedCase, load_case
 from ddic.check.case import check_case_file, check_mesh, check_ranks, load_checked_case
 from ddic.errors import InputError

@@ -18,7 +18,7 @@ from ddic.methods.run import run_pair
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.publishable import Publishable
+from ddic.results.publishing import Publishable
 from support.guides import run_guide
 
 

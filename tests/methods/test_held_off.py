@@ -17,7 +17,7 @@ import ddic
 from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.series import SeriesSummary
+from ddic.results.summary import SeriesSummary
 from ddic.visibility.exclusions import HELD_OFF, KEPT
 from support.oracles import make_on_root
 from support.spoilt import digitise

@@ -19,7 +19,7 @@ from ddic.io.series_reader import read_series
 from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.series import SeriesSummary
+from ddic.results.summary import SeriesSummary
 from support.interrupted import assert_equal_results, interrupt
 
 SIDE = 192

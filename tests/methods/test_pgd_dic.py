@@ -14,7 +14,7 @@ import ddic
 from ddic.case.loader import load_case
 from ddic.errors import ConvergenceError, InputError, is_collective
 from ddic.inputs.inputs import open_inputs
-from ddic.methods.pgd_dic import SeparatedSession
+from ddic.methods.pgd_dic import SeparatedMeasurement, SeparatedSession
 from ddic.methods.run import run_case
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -118,15 +118,15 @@ def test_session_measures_frames_in_turn(shared_path: Path) -> None:
         first = session.measure(frame)
         still = session.measure((inputs.cameras[0].reference,))
         again = session.measure(frame, first.unknowns)
-    assert np.array_equal(first.at(POINTS), session_of(team, path).at(POINTS))
+    assert np.array_equal(first.unknowns.at(POINTS), session_of(team, path).unknowns.at(POINTS))
     # Identical images are the same at rest.
-    assert np.abs(still.at(POINTS)).max() <= 1e-4
+    assert np.abs(still.unknowns.at(POINTS)).max() <= 1e-4
     assert len(again.solution.records) <= 1
     # A further correction of the same images is one that was not worth it.
-    assert np.abs(again.at(POINTS) - first.at(POINTS)).max() <= 0.01
+    assert np.abs(again.unknowns.at(POINTS) - first.unknowns.at(POINTS)).max() <= 0.01
 
 
-def session_of(team: Team, path: Path) -> ddic.Result:
+def session_of(team: Team, path: Path) -> SeparatedMeasurement:
     inputs, frame = open_inputs(team, load_case(path))
     with SeparatedSession(team, inputs, Silence(), PhaseClock()) as session:
         return session.measure(frame)

@@ -18,7 +18,7 @@ from ddic.io.series_reader import SeriesResult, read_series
 from ddic.methods.run import run_case, run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.series import SeriesSummary
+from ddic.results.summary import SeriesSummary
 from ddic.synth.fields import Sinusoidal
 from support.cases import Ears, write_case, write_images
 from support.interrupted import assert_equal_results, interrupt

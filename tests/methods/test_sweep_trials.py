@@ -8,9 +8,17 @@ import pytest
 from ddic.errors import ConvergenceError
 from ddic.io.result_reader import Result
 from ddic.mesh.structured import build_structured_mesh
-from ddic.methods.sweep_errors import PairNoise, correct_predictions, estimate_pair_noise, predict_errors
-from ddic.methods.virtual_frames import VirtualTruth
-from ddic.results.sweep import Candidate, Sweep, Trial, choose_trial
+from ddic.methods.sweep import VirtualTruth
+from ddic.results.sweep import (
+    Candidate,
+    PairNoise,
+    Sweep,
+    Trial,
+    choose_trial,
+    correct_predictions,
+    estimate_pair_noise,
+    predict_errors,
+)
 
 NOWHERE = np.zeros((0, 2))
 N_PIXELS, GRADIENT = 10_000, 50.0

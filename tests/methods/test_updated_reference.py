@@ -17,7 +17,7 @@ from ddic.io.series_reader import SeriesResult, read_series
 from ddic.methods.run import run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
-from ddic.results.series import SeriesSummary
+from ddic.results.summary import SeriesSummary
 from ddic.synth.fields import Sinusoidal
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture

@@ -16,9 +16,10 @@ from ddic.errors import InputError, is_collective
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import displacement_at, read_result
 from ddic.io.result_writer import ResultWriter
+from ddic.methods.run import write_run
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.publishing import Destination, gather, gather_phase_times, publish
+from ddic.results.publishing import gather, publish
 from support.cases import WAVES, contents, largest_difference, write_case, write_images
 from support.measuring import measure
 
@@ -44,7 +45,7 @@ def _publish(team: Team, path: Path) -> Path:
     output = load_case(path).case.output
     clock = PhaseClock(waiting=team.waiting)
     measured = measure(team, path, clock=clock)
-    publish(measured, Destination(output.file, output.flip_y, gather_phase_times(team, clock)))
+    write_run(measured, clock, output.file)
     return output.file
 
 
@@ -167,7 +168,7 @@ def test_a_folder_that_has_gone_is_an_input_error(shared_path: Path) -> None:
     path = _write(shared_path, '[output]\nfile = "gone/field.vtkhdf"\n')
     measured = measure(team, path)
     with pytest.raises(InputError, match="does not exist or cannot be written to"):
-        publish(measured, Destination(load_case(path).case.output.file))
+        publish(measured, load_case(path).case.output.file)
 
 
 @pytest.mark.parallel(RANKS)
@@ -177,7 +178,7 @@ def test_what_is_gathered_is_what_the_file_holds(shared_path: Path) -> None:
     path = _write(shared_path, output, images=UNITS)
     measured = measure(team, path)
     gathered = gather(measured)
-    publish(measured, Destination(shared_path / "field.vtkhdf"))
+    publish(measured, shared_path / "field.vtkhdf")
     team.wait_for_all()
     stored = read_result(shared_path / "field.vtkhdf")
     # The same numbers on every rank, none of them rounded on the way.
@@ -194,22 +195,6 @@ def test_what_is_gathered_is_what_the_file_holds(shared_path: Path) -> None:
         np.testing.assert_array_equal(one, other)
     assert {name: set(group) for name, group in gathered.attributes.items()} == {
         name: set(group) for name, group in stored.attributes.items()}
-
-
-@pytest.mark.parallel(RANKS)
-def test_values_at_points_are_those_of_the_result(shared_path: Path) -> None:
-    team = Team(MPI.COMM_WORLD)
-    measured = measure(team, _write(shared_path))
-    gathered = gather(measured)
-    rng = np.random.default_rng(0)
-    inside = rng.uniform(24, 168, (200, 2))
-    points = np.concatenate([inside, gathered.mesh.nodes, [[10.0, 100.0], [169.0, 100.0]]])
-    found = measured.at(points)
-    expected = gathered.at(points[:-2])
-    # A point on an interface gets the mean of its copies, which are one number: rounding of values of a pixel or so.
-    np.testing.assert_allclose(found[:-2], expected, rtol=0, atol=1e-12)
-    assert np.isnan(found[-2:]).all()
-    assert team.gather_lists([found.tobytes()]) == [found.tobytes()] * team.size
 
 
 WRITES = ("create_pieces", "write_pieces", "write_table", "create_residual_image", "write_residual_chunk",
@@ -233,7 +218,7 @@ def test_full_disk_is_told_on_all_ranks_and_leaves_an_older_result(shared_path: 
         with monkeypatch.context() as patch:
             patch.setattr(ResultWriter, name, fill_disk)
             with pytest.raises(OSError, match="No space") as caught:
-                publish(measured, Destination(output))
+                publish(measured, output)
         assert is_collective(caught.value), name
         assert team.on_root(lambda: sorted(shared_path.iterdir())) == before, name
         assert team.on_root(output.read_text) == "older", name

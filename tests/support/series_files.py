@@ -18,7 +18,7 @@ from ddic.io.result_writer import Piece, PieceSize, ResultWriter
 from ddic.io.series_writer import SeriesFolder, join_frames
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.results.series import FrameRecord
+from ddic.results.summary import FrameRecord
 
 MESH = build_structured_mesh((10.0, 10.0, 50.0, 30.0), 10.0)
 STRAIN = 0.01

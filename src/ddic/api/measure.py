@@ -7,13 +7,23 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ddic.api.given import ImageLike, StartLike, convert_given_mesh, convert_start, open_given_image
-from ddic.api.options import Options, check_kinematics, choose_options, choose_team, load_given_case, make_case
+from ddic.api.given import (
+    ImageLike,
+    Options,
+    StartLike,
+    check_kinematics,
+    choose_options,
+    choose_team,
+    convert_given_mesh,
+    convert_start,
+    load_given_case,
+    make_case,
+    open_given_image,
+)
 from ddic.case.loader import LoadedCase
 from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
@@ -27,14 +37,13 @@ from ddic.inputs.mesh_source import accept_mesh, convert_mapping
 from ddic.io.input_file import as_path
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
-from ddic.methods.detect import is_line_wanted
+from ddic.methods.fe_dic import is_line_wanted
 from ddic.methods.method import MethodSession, prepare_session
+from ddic.methods.run import keep_failed_run, remove_failed_field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.results.listener import Silence
-from ddic.results.publishable import Publishable
-from ddic.results.publishing import Destination, gather, publish
-from ddic.results.run_files import keep_failed_run, remove_failed_field
+from ddic.results.publishing import Publishable, gather, publish
 from ddic.start.given_start import GivenStart
 
 if TYPE_CHECKING:
@@ -67,8 +76,7 @@ class Session:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -128,23 +136,22 @@ class Session:
 
     def _measure_frame(self, frame: Frame, start: Any, output: Path | None) -> Result:
         """Measure a frame, and publish it; a last field that did not converge is kept."""
+        # The earlier result that every frame starts from stays.
+        earlier = self._inputs.case.start.from_result
         try:
             measured = self._require_open().measure(frame, start)
             self._last = measured.unknowns
             if output is not None:
-                publish(measured, Destination(output, self._inputs.case.output.flip_y))
-                remove_failed_field(self._team, output, self._start)
+                publish(measured, output, flip_y=self._inputs.case.output.flip_y)
+                remove_failed_field(self._team, output, earlier)
             return gather(measured)
         except DdicError as error:
-            keep_failed_run(self._team, error, Destination(output, self._inputs.case.output.flip_y), self._start)
+            keep_failed_run(self._team, error, output, earlier)
             if isinstance(error, ConvergenceError):
-                _gather_last_field(error)
+                last, error.last = error.last, None
+                if isinstance(last, Publishable):
+                    error.result = gather(last)
             raise
-
-    @property
-    def _start(self) -> Path | None:
-        """Earlier result that every frame starts from."""
-        return self._inputs.case.start.from_result
 
     def _open_frame(self, images: Sequence[ImageLike]) -> Frame:
         """Open a deformed image of each camera; collective."""
@@ -198,13 +205,6 @@ def _check_same_size(image: MaskedSource, reference: MaskedSource, name: str) ->
     if found != wanted:
         raise InputError(f"{name}: {found.width} x {found.height} px, but the reference image has {wanted.width} x "
                          f"{wanted.height} px; give images of one size")
-
-
-def _gather_last_field(error: ConvergenceError) -> None:
-    """Bring the last field together as a result that did not converge; collective."""
-    last, error.last = error.last, None
-    if isinstance(last, Publishable):
-        error.result = gather(last)
 
 
 def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ddic.api.given import load_given_case, make_case
 from ddic.api.measure import measure
-from ddic.api.options import load_given_case, make_case
 from ddic.arrays import Array, IntArray
 from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method_section
 from ddic.case.named_files import list_deformed
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
-from ddic.case.schema import Case
+from ddic.case.schema import Case, SolverSection
 from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
@@ -30,13 +30,16 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.structured import build_structured_mesh
-from ddic.methods.detect import find_discontinuity
-from ddic.methods.expected_noise import estimate_nodal_noise
+from ddic.methods.fe_dic import find_discontinuity
 from ddic.methods.sweep import measure_candidates
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
+from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
+from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Silence
 from ddic.results.sweep import Candidate, Sweep
+from ddic.solvers.local_system import MonolithicStep
+from ddic.solvers.probing import estimate_noise_rms
 
 N_FRAMES = 3
 """Images that each candidate measures: the case's, and the virtual ones."""
@@ -109,15 +112,10 @@ def _list_candidates(inputs: Inputs, wavelengths: Sequence[float] | None,
     if not pairs:
         raise InputError(f"--lengths {lengths}: shorter than {SHORTEST_WAVELENGTH:g} elements, all of them; give "
                          "longer ones")
-    own = _find_own(case)
-    return sorted(pairs, key=lambda candidate: candidate != own)
-
-
-def _find_own(case: Case) -> Candidate:
-    """What the case itself says."""
     section, structured = case.regularization, case.mesh.structured
-    length = 0.0 if section is None else section.cut_off_wavelength or 0.0
-    return Candidate(None if structured is None else structured.element_size, length)
+    own = Candidate(None if structured is None else structured.element_size,
+                    0.0 if section is None else section.cut_off_wavelength or 0.0)
+    return sorted(pairs, key=lambda candidate: candidate != own)
 
 
 def _vary(inputs: Inputs, candidate: Candidate) -> Inputs:
@@ -312,18 +310,56 @@ def _mesh_inside(shape: tuple[int, ...], size: float) -> Mesh:
     return build_structured_mesh((MARGIN, MARGIN, width - MARGIN, height - MARGIN), size)
 
 
-def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any] | None, noise: float) -> float:
+def _predict_noise(grey: Array, size: float, settings: Mapping[str, Any], noise: float) -> float:
     """Displacement noise at nodes by the operator alone, pixels."""
     reference = MaskedSource(ArraySource(Path("image"), grey.astype(np.float32)))
     camera = make_first_camera(reference, None)
-    inputs = Inputs(make_case(settings or {}), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
+    inputs = Inputs(make_case(settings), (camera,), lambda: (_mesh_inside(grey.shape, size), None))
     try:
         return estimate_nodal_noise(inputs, noise)
     except SingularSubdomainError:
         return np.nan
 
 
-def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settings: Mapping[str, Any] | None,
+def estimate_nodal_noise(inputs: Inputs, sigma: float) -> float:
+    """Predict the noise of the displacement at nodes from the operator alone, on one rank.
+
+    It has the covariance 2 sigma^2 A^-1 M A^-1, A = M + eta Kbar^T Kbar of the whole region. Phantom nodes, which lines
+    add to the mesh, do not count.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Images of one camera, mesh and settings.
+    sigma : float
+        Standard deviation of the camera noise of both images, grey levels.
+
+    Returns
+    -------
+    float
+        RMS of a component, pixels.
+
+    Raises
+    ------
+    InputError, SingularSubdomainError
+        Where the problem cannot be set up.
+    """
+    team, clock = Team.alone(), PhaseClock()
+    case = inputs.case.model_copy(update={"solver": SolverSection(method="monolithic")})
+    inputs = replace(inputs, case=case)
+    reference, _ = prepare_reference(team, inputs, build_whole_mesh(team, inputs), clock, lambda: None)
+    problem = WeightedProblem(team, reference, clock)
+    try:
+        step, system = problem.solver.step, problem.solver.assembly.systems[0]
+        assert isinstance(step, MonolithicStep)
+        uncut, _ = inputs.build_mesh()
+        counted = np.arange(reference.subdomains[0].mesh.n_dofs) < uncut.n_dofs
+        return estimate_noise_rms(system, step.operator, sigma, counted)
+    finally:
+        problem.destroy()
+
+
+def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settings: Mapping[str, Any],
                     known: _Known) -> tuple[float, float]:
     """Mean and standard deviation of the error, pixels; nan where nothing converges."""
     mesh = _mesh_inside(pair[0].shape, size)

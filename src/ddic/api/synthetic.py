@@ -28,13 +28,9 @@ class _GivenField:
 
     def gradient(self, points: Array) -> Array:
         """Gradient du_i/dx_j (n, 2, 2) at points (n, 2)."""
-        columns = []
-        for axis in range(2):
-            shift = np.zeros(2)
-            shift[axis] = DIFFERENCE_PX
-            change = self.displacement(points + shift) - self.displacement(points - shift)
-            columns.append(change / (2 * DIFFERENCE_PX))
-        return np.stack(columns, axis=2)
+        changes = [self.displacement(points + shift) - self.displacement(points - shift)
+                   for shift in DIFFERENCE_PX * np.eye(2)]
+        return np.asarray(np.stack(changes, axis=2) / (2 * DIFFERENCE_PX))
 
 
 def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField, size: tuple[int, int], *,

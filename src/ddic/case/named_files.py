@@ -9,6 +9,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel
 
+from ddic.case.methods import find_method_section
 from ddic.case.schema import Case, ImagesSection, NearSection, OutputSection, find_section_in
 from ddic.errors import InputError
 from ddic.io.input_file import find_real_path, is_readable_file
@@ -148,8 +149,9 @@ def _list_contradictions(case: Case) -> Iterator[str]:
             yield "images.frame_interval and a list in images.deformed_time: give one of them"
     elif "deformed_time" in images.model_fields_set:
         yield f"images.deformed_time: one time for {n_frames} images; give a list, or images.frame_interval"
-    if case.pgd is not None:
-        yield "images.deformed: [pgd] measures one pair at a time; give one image"
+    method = find_method_section(case)
+    if method is not None:
+        yield f"images.deformed: [{method}] measures one pair at a time; give one image"
     if any(line.vertices is None for line in case.discontinuity):
         yield ("images.deformed: a line that is looked for needs one pair; find it on one image first, and give "
                "discontinuity.vertices")

@@ -14,8 +14,7 @@ import click
 
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.weighted_problem import ProblemSize
-from ddic.results.series import SeriesSummary
-from ddic.results.summary import Summary
+from ddic.results.summary import SeriesSummary, Summary
 from ddic.solvers.gauss_newton import IterationRecord
 
 if TYPE_CHECKING:

@@ -44,7 +44,7 @@ class FrameState:
     shown_share : float
         Share of the cells that were seen where the field put them.
     holds_back : bool
-        Whether mechanics held cells back from where they were seen.
+        Whether mechanics held cells back from where they were seen, so that the field shows no way to the next frame.
     """
 
     time: float

@@ -4,11 +4,11 @@ Gauss-Newton on one frame, with operators and grey levels that fit what the fram
 """
 
 from dataclasses import replace
-from typing import Self
 
 from ddic.errors import ConvergenceError, as_collective, is_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
+from ddic.methods.method import MethodSession
 from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
@@ -101,7 +101,7 @@ def _use(model: ResidualModel, seen: SeenFrame, q: Field) -> ResidualModel:
     return replace(used, known=None if is_changed else (q, seen.evaluation))
 
 
-class DecomposedSession:
+class DecomposedSession(MethodSession):
     """A measurement prepared on subdomains, for any number of frames; use it in a ``with`` statement.
 
     M, the partition, the factors and the coarse space come from the reference images. Where a frame hides more than a
@@ -155,12 +155,6 @@ class DecomposedSession:
     def n_factorized(self) -> int:
         """Operators that this rank factorised."""
         return self.problem.solver.n_factorized
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def begin_anew(self) -> None:
         """Forget what earlier frames have changed of the operators; collective."""

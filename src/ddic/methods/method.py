@@ -18,25 +18,33 @@ from ddic.parallel.phases import PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
 from ddic.parallel.team import Team
 from ddic.results.listener import Listener
-from ddic.results.publishable import Publishable
+from ddic.results.publishing import Publishable
 
 
 class MethodSession(Protocol):
-    """The reference images of a case prepared by its method, for any number of frames; used in a ``with`` statement."""
+    """The reference images of a case prepared by its method, for any number of frames; used in a ``with`` statement.
+
+    One that inherits from it says how it measures and closes; the rest is that of a session without operators of a
+    mesh, from whose linear steps the noise would follow.
+    """
 
     @property
     def n_assembled(self) -> int:
         """Times that this rank assembled M of a subdomain; 0 where there is none."""
+        return 0
 
     @property
     def n_factorized(self) -> int:
         """Operators that this rank factorised."""
+        return 0
 
     def __enter__(self) -> Self:
         """Give the session itself."""
+        return self
 
     def __exit__(self, *_: object) -> None:
         """Close it."""
+        self.close()
 
     def measure(self, frame: Frame, start: Any = None) -> Publishable:
         """Measure the displacement between the reference images and a frame; collective.
@@ -73,6 +81,7 @@ class MethodSession(Protocol):
         float
             RMS of a component at a node, pixels; nan where it is not known.
         """
+        return float("nan")
 
     def close(self) -> None:
         """Free what does not go by itself, PETSc's objects say; may be called again."""

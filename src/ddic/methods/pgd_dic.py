@@ -1,38 +1,311 @@
-"""PGD-DIC: successive rank-one corrections of a displacement that is a sum of products, Fig. 2 of [PP12]."""
+"""PGD-DIC: successive rank-one corrections of a displacement that is a sum of products, Fig. 2 of [PP12].
 
-from typing import Self
+Also what was measured, the cells on which it is written out, and what the residual image says of these cells.
+"""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.arrays import Array
 from ddic.case.loader import LoadedCase
-from ddic.case.schema import Case
+from ddic.case.schema import Case, ImagesSection
 from ddic.check.case import CheckReport, count_bits
 from ddic.errors import InputError, Problems
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.source import ImageSource
+from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, StartPoints
+from ddic.io import result_schema as schema
+from ddic.io.hdf5_file import ChunkGrid
+from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.kinematics.nodal_gradients import recover_gradients
+from ddic.kinematics.strain import compute_strain
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import GridLines
+from ddic.methods.method import MethodSession
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.problem.region_mesh import describe_cut_off
 from ddic.problem.separated_problem import (
     Rectangle,
+    SeparatedProblem,
     build_rectangle,
     check_rectangle,
     choose_controlled_lines,
     choose_output_lines,
     prepare_separated_problem,
 )
+from ddic.problem.weighted_problem import ProblemSize
+from ddic.results.fields import convert_to_six_components, describe_nodal_strains
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import last_field_kept
-from ddic.results.separated import SeparatedMeasurement, finish_separated
+from ddic.results.publishing import describe_image, write_case
+from ddic.results.residual_image import Patch, write_patches
+from ddic.results.summary import Summary, find_field_ranges
 from ddic.separated.band_sums import N_BANDS
-from ddic.separated.corrections import CorrectionRecord, correct_displacement
+from ddic.separated.corrections import CorrectionRecord, SeparatedSolution, correct_displacement
+from ddic.separated.field import LineElements, SeparatedField
+from ddic.separated.pixel_bands import FramePixels, ReferenceBands
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
+from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
+from ddic.visibility.exclusions import KEPT, UNSEEN
+
+Rows = tuple[range, NDArray[np.float32]]
 
 
-class SeparatedSession:
+@dataclass(frozen=True, eq=False)
+class OutputCells:
+    """Cells between some lines of a rectangle.
+
+    Attributes
+    ----------
+    grid : GridLines
+        The lines, pixels.
+    n_pixels : (n_rows n_columns,) array
+        That count, row by row.
+    residual_rms : (n_rows n_columns,) array
+        Grey levels; nan where no pixel counts.
+    errors : CellErrors
+        What the residual says about them.
+    notes : tuple of str
+        For the user.
+    """
+
+    grid: GridLines
+    n_pixels: Array
+    residual_rms: Array
+    errors: CellErrors
+    notes: tuple[str, ...]
+
+    def build_mesh(self) -> Mesh:
+        """Mesh them: Q4 cells, row by row."""
+        return build_mesh(self.grid.nodes, {Q4: self.grid.quads})
+
+    def evaluate_displacement(self, field: SeparatedField) -> Array:
+        """Evaluate a displacement at their nodes, (n_nodes, 2), row by row, pixels."""
+        return field.evaluate_on_grid(self.grid.x, self.grid.y).reshape(-1, 2)
+
+
+def evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBands,
+                          residual: Sequence[Rows]) -> OutputCells:
+    """Sum the residual over cells, the same on all ranks; collective.
+
+    ``grid`` has the lines between the cells, pixels. ``residual`` is that of this rank's bands, (n_rows, width) each,
+    grey levels, grey levels corrected.
+    """
+    along_x, along_y = LineElements(grid.x), LineElements(grid.y)
+    sums = team.sum(sum((_sum_band(along_x, along_y, reference, number, rows) for number, rows in enumerate(residual)),
+                        np.zeros((4, along_y.n_nodes - 1, along_x.n_nodes - 1))))
+    n, r, rr, slopes = sums.reshape(4, -1)
+    safe = np.maximum(n, 1.0)
+    # The mean of a cell's residual is brightness, not displacement.
+    variance = np.where(n > 0, np.maximum(rr / safe - (r / safe) ** 2, 0.0), np.nan)
+    residuals = CellResiduals(0, n, variance, slopes / safe)
+    errors = find_cell_errors(team, [residuals] if team.is_root else [])
+    notes = describe_doubtful_cells(team, errors)
+    rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
+    return OutputCells(grid, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
+
+
+def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferenceBands, number: int,
+              rows: Rows) -> Array:
+    """Sums over the pixels of a band of (1, r, r^2, |grad f|^2) in each cell, (4, n_rows, n_columns)."""
+    band, r = reference.bands[number], rows[1].astype(np.float64)
+    counts = np.isfinite(r)
+    r[~counts] = 0.0
+    slopes = np.where(counts, band.by_x.astype(np.float64)**2 + band.by_y.astype(np.float64)**2, 0.0)
+    starts = np.searchsorted(np.arange(reference.along_x.pixels.start, reference.along_x.pixels.stop),
+                             along_x.nodes[:-1])
+    places = np.searchsorted(along_y.nodes, np.array(rows[0]), side="right") - 1
+    sums = np.zeros((4, along_y.n_nodes - 1, along_x.n_nodes - 1))
+    for k, image in enumerate((counts.astype(np.float64), r, r**2, slopes)):
+        np.add.at(sums[k], np.clip(places, 0, along_y.n_nodes - 2), np.add.reduceat(image, starts, axis=1))
+    return sums
+
+
+def write_output_cells(writer: ResultWriter, cells: OutputCells, field: SeparatedField, images: ImagesSection) -> None:
+    """Write cells with the displacement at their nodes, which are nodes of the elements too; on rank 0."""
+    mesh = cells.build_mesh()
+    displacement = cells.evaluate_displacement(field)
+    length_unit = None if images.pixel_size is None else images.length_unit
+    writer.create_pieces([PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))],
+                         (*schema.point_fields(length_unit), *schema.nodal_strain_fields()), schema.cell_fields())
+    point_data: dict[str, NDArray[Any]] = {
+        schema.DISPLACEMENT: displacement,
+        schema.DISPLACEMENT_MESH_UNITS: displacement,
+        schema.GLOBAL_NODE_ID: np.arange(mesh.n_nodes),
+        **describe_nodal_strains(recover_gradients([mesh], [displacement.ravel()], list)[0]),
+    }
+    if images.pixel_size is not None:
+        point_data[schema.DISPLACEMENT_PHYSICAL] = displacement * images.pixel_size
+    writer.write_pieces(range(1), Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, point_data,
+                                        _describe_cells(mesh, cells, displacement)))
+
+
+def _describe_cells(mesh: Mesh, cells: OutputCells, displacement: Array) -> dict[str, NDArray[Any]]:
+    strain = compute_strain(mesh, displacement.ravel())
+    return {
+        schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
+        schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange),
+        schema.RESIDUAL_RMS: cells.residual_rms,
+        schema.RESIDUAL_N_PIXELS: cells.n_pixels.astype(np.int64),
+        schema.EQUIVALENT_ERROR: cells.errors.equivalent,
+        schema.DOUBTFUL: cells.errors.doubtful.astype(np.uint8),
+        schema.EXCLUDED: np.where(cells.n_pixels > 0, KEPT, UNSEEN).astype(np.uint8),
+        schema.SUBDOMAIN_ID: np.zeros(mesh.n_cells, dtype=np.int32),
+        schema.GLOBAL_CELL_ID: np.arange(mesh.n_cells),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class SeparatedMeasurement:
+    """A measured displacement as a sum of products, known to all ranks; pixels are spread over them.
+
+    Attributes
+    ----------
+    problem : SeparatedProblem
+        What was measured: reference image, rectangle and settings.
+    frame : Frame
+        The deformed image.
+    solution : SeparatedSolution
+        The displacement and its corrections.
+    cells : OutputCells
+        On which the displacement is written out, with what the residual says of them.
+    residual_rows : list of (range, (n_rows, width) array)
+        Residual image of this rank's bands, grey levels.
+    notes : tuple of str
+        What the user should know.
+    failure : str
+        Why it is no result; empty where it converged.
+    """
+
+    problem: SeparatedProblem
+    frame: Frame
+    solution: SeparatedSolution
+    cells: OutputCells
+    residual_rows: list[tuple[range, NDArray[np.float32]]]
+    notes: tuple[str, ...]
+    failure: str = ""
+
+    @property
+    def grey_correction(self) -> GreyCorrection:
+        """Correction of grey levels that was taken."""
+        return self.problem.scheme.correction
+
+    @property
+    def team(self) -> Team:
+        """All ranks."""
+        return self.problem.team
+
+    @property
+    def inputs(self) -> Inputs:
+        """Reference image and settings."""
+        return self.problem.inputs
+
+    @property
+    def size(self) -> ProblemSize:
+        """Sizes and weights."""
+        return self.problem.size
+
+    @property
+    def unknowns(self) -> SeparatedField:
+        """What another frame may start from."""
+        return self.solution.field
+
+    def write(self, writer: ResultWriter | None) -> None:
+        """Write the products, the displacement on cells, tables and the residual image; collective.
+
+        The writer is open on rank 0, None elsewhere.
+        """
+        self.team.build_on_root(lambda: self._write_on_root(require_held(writer)))
+        if self.inputs.case.output.residual_image:
+            self._write_residual_image(writer)
+
+    def _write_on_root(self, writer: ResultWriter) -> None:
+        write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
+        writer.write_separated(self.solution.field)
+        writer.write_table(schema.CORRECTIONS, list_corrections(self.solution.records))
+        write_case(self, writer, {"largest_jump_px": 0.0, "stop": self.solution.stop})
+        writer.write_status(self.failure)
+
+    def _write_residual_image(self, writer: ResultWriter | None) -> None:
+        image, columns = self.inputs.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
+        patches = [Patch(Window((columns.start, rows.start), (columns.stop, rows.stop)), values)
+                   for rows, values in self.residual_rows]
+        write_patches(self.team, writer, ChunkGrid(image.width, image.height), [patch.window for patch in patches],
+                      iter(patches))
+
+    def summarize(self, of_run: dict[str, Any]) -> Summary:
+        """Sum it up in numbers for scripts and people, the same on all ranks; collective."""
+        solution, cells = self.solution, self.cells
+        u = cells.evaluate_displacement(solution.field)
+        return Summary(
+            **of_run,
+            iterations=len(solution.records),
+            residual_std_grey=solution.grey.residual_std,
+            residual_percent_of_range=100 * solution.grey.residual_std / (self.size.dynamic_range or 1.0),
+            n_pixels=solution.grey.n_pixels,
+            n_pixels_outside=self.size.n_pixels - solution.grey.n_pixels,
+            krylov_iterations=[],
+            largest_jump_px=0.0,
+            linear_error_px=float("nan"),
+            stop=solution.stop,
+            n_modes=solution.field.n_modes,
+            method=schema.PGD,
+            ranges=find_field_ranges(self.team, [(cells.build_mesh(), u.ravel())]),
+            iteration_table=list_corrections(solution.records),
+        )
+
+    def describe_origin(self) -> dict[str, str | int]:
+        """Say what it was measured from: sizes, and the images with their checksums."""
+        return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains, "method": schema.PGD,
+                **describe_image("reference", self.inputs.cameras[0].reference.image),
+                **describe_image("deformed", self.frame[0].image)}
+
+
+def list_corrections(records: Sequence[CorrectionRecord]) -> dict[str, list[Any]]:
+    """List corrections, columns by name; the residual is that before each of them."""
+    return {
+        "correction": [r.number for r in records],
+        "rms_x_px": [r.rms[0] for r in records],
+        "rms_y_px": [r.rms[1] for r in records],
+        "relative_x": [r.relative[0] for r in records],
+        "relative_y": [r.relative[1] for r in records],
+        "fluctuation_x": [r.fluctuation[0] for r in records],
+        "fluctuation_y": [r.fluctuation[1] for r in records],
+        "gain": [r.gain for r in records],
+        "noise_gain": [r.noise_gain for r in records],
+        "sweeps": [r.n_sweeps for r in records],
+        "modes": [r.n_modes for r in records],
+        "residual_std_grey": [r.grey.residual_std for r in records],
+        "residual_rms_grey": [r.grey.residual_rms for r in records],
+        "n_pixels": [r.grey.n_pixels for r in records],
+        "grey_gain": [r.grey.gain for r in records],
+        "grey_offset": [r.grey.offset for r in records],
+    }
+
+
+def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, notes: tuple[str, ...],
+                     solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
+    """Compute the residual image and judge cells; collective.
+
+    ``failure`` says why the displacement is no result, nothing where it converged.
+    """
+    residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
+    grid = GridLines(*choose_output_lines(problem.inputs.case, problem.rectangle))
+    cells = evaluate_output_cells(problem.team, grid, problem.reference, residual)
+    notes = (*problem.inputs.notes, *notes, failure or solution.stop, *cells.notes)
+    return SeparatedMeasurement(problem, frame, solution, cells, residual, notes, failure)
+
+
+class SeparatedSession(MethodSession):
     """A prepared PGD-DIC measurement, for any number of frames; use it in a ``with`` statement as other sessions.
 
     Each rank reads some bands of rows. Raises InputError on all ranks.
@@ -49,20 +322,11 @@ class SeparatedSession:
         Of the phases.
     """
 
-    # No operator of a mesh is assembled or factorised.
-    n_assembled = n_factorized = 0
-
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock) -> None:
         self._listener, self._clock = listener, clock
         self._problem = prepare_separated_problem(team, inputs, clock)
         with clock.phase(Phase.START):
             self._search = prepare_separated_search(self._problem)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def measure(self, frame: Frame, start: KnownSeparatedStart | None = None) -> SeparatedMeasurement:
         """Measure the displacement between the reference image and a frame; collective.
@@ -84,10 +348,6 @@ class SeparatedSession:
         self._listener.note(solution.stop)
         with self._clock.phase(Phase.FINISH):
             return finish_separated(problem, frame, pixels, notes, solution)
-
-    def estimate_noise_floor(self, measured: SeparatedMeasurement) -> float:
-        """Tell that it is not known, nan: it follows from linear steps on a mesh."""
-        return float("nan")
 
     def _report(self, record: CorrectionRecord) -> None:
         """Tell a correction, and end there where a signal asked for it."""

@@ -1,42 +1,63 @@
 """A series of deformed images measured from one reference image; what is finished is never lost.
 
-Each frame is started from those before it; one that cannot be measured does not stop the others. Each is written to a
-folder as it is finished; at the end they are joined to one result file.
+A session has one reference image: the first one, or that of a frame that was measured and has taken its place. A frame
+starts from what those before it extrapolate to, or from a search; one that cannot be measured does not stop the others.
+Each is written to a folder as it is finished; at the end they are joined to one result file.
 """
 
+from __future__ import annotations
+
 import json
+import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ddic.arrays import Array
 from ddic.case.loader import LoadedCase
 from ddic.case.named_files import list_cameras, list_deformed, list_times
-from ddic.errors import ConvergenceError, DdicError, StoppedError, as_collective, is_collective
-from ddic.inputs.inputs import FrameOpener, inputs_kept, open_inputs
+from ddic.errors import (
+    ConvergenceError,
+    DdicError,
+    SingularSubdomainError,
+    StoppedError,
+    as_collective,
+    is_collective,
+)
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import FrameOpener, Inputs, inputs_kept, open_inputs
 from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import ResultWriter
-from ddic.io.series_writer import BackgroundWriter, ReadAhead, SeriesFolder, join_frames
-from ddic.methods.series_frame import (
-    N_STATES,
-    FramesSoFar,
-    MeasuredFrame,
-    MeasuredState,
-    ReferenceSession,
-    SeriesImages,
-    collect_states,
-)
+from ddic.io.series_writer import BackgroundWriter, FrameState, ReadAhead, SeriesFolder, join_frames
+from ddic.methods.dd_dic import DecomposedSession
+from ddic.methods.fe_dic import add_notes, measure_and_look
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import StopRequest, is_stop_asked
 from ddic.parallel.team import Team, require_held
+from ddic.problem.reference_problem import update_reference
+from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Listener
-from ddic.results.measurement import Measurement
-from ddic.results.publishable import Publishable
-from ddic.results.publishing import Destination, pack, publish
-from ddic.results.series import FrameRecord, SeriesSummary, write_series_summary
+from ddic.results.measurement import Measurement, place_at_nodes
+from ddic.results.publishing import Publishable, pack, publish
+from ddic.results.summary import FrameRecord, SeriesSummary, Vertices, write_series_summary
+
+N_STATES = 2
+"""Frames from which the next one is extrapolated."""
+
+SEARCH = "a search"
+"""Name of a start that nothing is known of."""
+
+LEAST_SHOWN = 0.8
+"""Share of the cells that the last frame showed which a start must show, else it is searched for: Gauss-Newton takes
+long, or does not find its way, from other speckle. A larger share searches more often."""
+
+RESIDUAL_GROWTH = 1.5
+"""Residual of a frame over that of the first one with the same reference image, from which on ``auto`` updates it: a
+third of the residual is then light and speckle that have changed. A larger value updates later."""
 
 
 def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bool = False) -> SeriesSummary:
@@ -138,7 +159,7 @@ def _begin(images: SeriesImages, before: Sequence[FrameRecord], folder: SeriesFo
 
 
 def _keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
-                writer: BackgroundWriter) -> MeasuredState | None:
+                writer: BackgroundWriter) -> FrameState | None:
     """Begin to write a frame, or note that it could not be measured; collective, the writer is rank 0's.
 
     Returns what the next frame starts from, as it is written; None where it could not be measured. Raises OSError on
@@ -149,28 +170,29 @@ def _keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
         _note_failure(team, result, record, folder)
         return None
     measurement = replace(result, inputs=result.inputs.with_frame(record.number - 1))
-    state = MeasuredState(record.time, measurement.unknowns, measurement.shown_share,
-                          measurement.excluded.has_held_off(team))
+    unknowns = {subdomain.index: q
+                for subdomain, q in zip(measurement.subdomains, measurement.unknowns, strict=True)}
+    state = FrameState(record.time, unknowns, measurement.noise, measurement.shown_share,
+                       measurement.excluded.has_held_off(team))
     content = _pack_frame(measurement, record, state)
     path = folder.get_frame_path(record.number)
     team.on_root(lambda: writer.write(path, require_held(content)))
     return state
 
 
-def _pack_frame(measurement: Measurement, record: FrameRecord, state: MeasuredState) -> bytes | None:
+def _pack_frame(measurement: Measurement, record: FrameRecord, state: FrameState) -> bytes | None:
     """The file of a frame, with what the next one goes on from; on rank 0, collective."""
-    own = {f"{subdomain.index:06d}": np.asarray(q)
-           for subdomain, q in zip(measurement.subdomains, state.q, strict=True)}
-    gathered = measurement.team.gather_to(own, 0)
+    gathered = measurement.team.gather_to(state.unknowns, 0)
 
     def add(opened: ResultWriter) -> None:
-        by_subdomain = {name: q for of_rank in require_held(gathered) for name, q in of_rank.items()}
+        by_subdomain = {f"{number:06d}": np.asarray(q)
+                        for of_rank in require_held(gathered) for number, q in of_rank.items()}
         opened.write_attributes(schema.SERIES, {"record": record.as_json(), "time": record.time,
-                                                "noise": np.array(measurement.noise, dtype=float),
+                                                "noise": np.array(state.noise, dtype=float),
                                                 "shown_share": state.shown_share, "holds_back": state.holds_back})
         opened.write_arrays(f"{schema.SERIES}/unknowns", by_subdomain)
 
-    return pack(measurement, Destination(None, measurement.inputs.case.output.flip_y), add)
+    return pack(measurement, flip_y=measurement.inputs.case.output.flip_y, add=add)
 
 
 def _note_failure(team: Team, error: DdicError, record: FrameRecord, folder: SeriesFolder) -> None:
@@ -182,7 +204,7 @@ def _note_failure(team: Team, error: DdicError, record: FrameRecord, folder: Ser
     if isinstance(last, Publishable):
         path = schema.not_converged_path(folder.result.with_suffix(f".{record.number:06d}{folder.result.suffix}"))
         try:
-            publish(last, Destination(path, last.inputs.case.output.flip_y))
+            publish(last, path, flip_y=last.inputs.case.output.flip_y)
         except (OSError, DdicError) as second:
             # That the frame failed is told first; this comes of it.
             if not is_collective(second):
@@ -222,3 +244,327 @@ def _describe_failures(summary: SeriesSummary) -> str:
     reasons = "; ".join(frame.describe() for frame in failures)
     kept = "" if len(failures) == len(summary.frames) else f"; the others are in {summary.result_file}"
     return f"{len(failures)} of {summary.n_frames} frames could not be measured: {reasons}{kept}"
+
+
+@dataclass(frozen=True)
+class SeriesImages:
+    """What frames are opened, told and timed with.
+
+    Attributes
+    ----------
+    team, opener, listener, clock : Team, FrameOpener, Listener, PhaseClock
+        No signal stops the team.
+    """
+
+    team: Team
+    opener: FrameOpener
+    listener: Listener
+    clock: PhaseClock
+
+
+def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[FrameState]:
+    """Take up of what an earlier run has measured what owned subdomains need; collective.
+
+    Cameras of ``problem`` are weighted as they were. The list is empty where the subdomains are others: the next frame
+    is searched for then.
+    """
+    if states and states[-1].noise and not problem.is_set_up:
+        problem.set_noise(states[-1].noise)
+    subdomains = problem.reference.subdomains
+    n_other = sum(len(state.unknowns.get(subdomain.index, ())) != subdomain.n_unknowns
+                  for state in states for subdomain in subdomains)
+    if problem.team.sum(n_other):
+        return []
+    return [replace(state, unknowns={subdomain.index: state.unknowns[subdomain.index] for subdomain in subdomains})
+            for state in states]
+
+
+def choose_start(wanted: str, states: Sequence[FrameState], time: float) -> tuple[str, Mapping[int, Array] | None]:
+    """Choose what a frame starts from of those before it: its name, and unknowns by owned subdomain.
+
+    These are None where it is to be searched for. ``wanted`` is ``series.start`` of the case; ``states`` are those of
+    the last frames that were measured, two at most; ``time`` is the frame's, unit chosen by the user.
+    """
+    # A field that mechanics hold off what its frame showed would take what it sees for something else.
+    if wanted == "search" or not states or states[-1].holds_back:
+        return SEARCH, None
+    last = states[-1]
+    if wanted != "extrapolate" or len(states) == 1:
+        return "the last frame", last.unknowns
+    before = states[-2]
+    share = (time - last.time) / (last.time - before.time)
+    return "the last two frames", {number: q + share * (q - before.unknowns[number])
+                                   for number, q in last.unknowns.items()}
+
+
+class ReferenceSession:
+    """The session of one reference image, the caller's to close.
+
+    Parameters
+    ----------
+    images : SeriesImages
+        Of the series.
+    inputs : Inputs
+        With that reference image.
+    lines : tuple of tuple of (x, y), optional
+        Vertices of the discontinuities as a frame has refined them, pixels; by default those of the case.
+    first_frame : Frame, optional
+        Where it is known already.
+    of : FrameRecord, optional
+        The frame whose image it is; by default that of no frame, the first one.
+
+    Attributes
+    ----------
+    frame : int
+        Its number; 0 for the first reference image.
+    session : DecomposedSession
+        Closed with this one.
+    started_from : str
+        Where the last frame was started.
+    """
+
+    def __init__(self, images: SeriesImages, inputs: Inputs, lines: tuple[Vertices, ...] = (),
+                 first_frame: Frame | None = None, of: FrameRecord | None = None) -> None:
+        self.images, self.lines = images, lines
+        self.frame = 0 if of is None else of.number
+        self.session = DecomposedSession(images.team, inputs, images.listener, images.clock, first_frame)
+        # What noise has left in the field of that frame, pixels.
+        self._noise_floor = 0.0 if of is None else of.noise_floor_px
+        self._floor_by_grey_level: float | None = None
+        self.started_from = SEARCH
+
+    @classmethod
+    def prepare(cls, images: SeriesImages, lines: tuple[Vertices, ...],
+                first_frame: Frame | None = None) -> ReferenceSession:
+        """Prepare the session of the first reference image with lines as a frame has refined them; collective.
+
+        ``first_frame`` is given where it is known already. Raises InputError, SingularSubdomainError or
+        FactorizationError on all ranks.
+        """
+        return cls(images, place_lines(images.opener.inputs, lines), lines, first_frame)
+
+    def update(self, record: FrameRecord, state: FrameState) -> ReferenceSession:
+        """Prepare a session that compares with a frame that was measured; collective.
+
+        This one stays; the other one is the caller's to close. ``state`` is the frame's field on this session's
+        subdomains. Raises InputError, SingularSubdomainError or FactorizationError on all ranks, where the mesh has
+        left the frame, or the frame does not hold it.
+        """
+        images = self.images
+        displacement = self._gather(state)
+        frame = images.opener.open(record.number)
+        inputs = update_reference(images.team, self.session.problem.reference, frame, displacement)
+        return ReferenceSession(images, inputs, of=record)
+
+    def measure(self, frame: Frame, states: Sequence[FrameState], time: float) -> Measurement:
+        """Measure a frame from those before it, or from a search where there are none or they lead nowhere; collective.
+
+        What earlier frames changed of the operators is forgotten. Raises InputError, ConvergenceError or
+        SingularSubdomainError on all ranks, where the search does not converge either.
+        """
+        session, reference, listener = self.session, self.session.problem.reference, self.images.listener
+        self.started_from, unknowns = choose_start(self.images.opener.inputs.case.series.start, states, time)
+        if unknowns is not None:
+            session.begin_anew()
+            try:
+                start = reference.convert_to_reference([unknowns[s.index] for s in reference.subdomains])
+                return session.measure(frame, start, LEAST_SHOWN * states[-1].shown_share)
+            except (ConvergenceError, SingularSubdomainError) as error:
+                if not is_collective(error):
+                    raise
+                listener.note(f"from {self.started_from}: {error}; it is searched for")
+                self.started_from = SEARCH
+        session.begin_anew()
+        return session.measure(frame)
+
+    def estimate_noise_floor(self, measurement: Measurement) -> float:
+        """Estimate what noise leaves in a frame's field, with what it has left in those of updates; collective.
+
+        It is found by linear steps for the first frame, by their residuals for the others: the RMS of a component at a
+        node, pixels; nan where a linear step fails.
+        """
+        deviation = measurement.evaluation.grey[0].residual_std
+        if self._floor_by_grey_level is None:
+            self._floor_by_grey_level = self.session.estimate_noise_floor(measurement) / max(deviation, 1e-300)
+        return math.hypot(self._noise_floor, self._floor_by_grey_level * deviation)
+
+    def restrict_states(self, other: ReferenceSession, states: Sequence[FrameState]) -> list[FrameState]:
+        """Restrict states on another session's subdomains to this one's; collective.
+
+        None are left where other lines cut the mesh.
+        """
+        if other is self:
+            return list(states)
+        if other.lines != self.lines:
+            return []
+        fields = [other._gather(state) for state in states]
+        subdomains = self.session.problem.reference.subdomains
+        return [replace(state, unknowns={s.index: field[s.node_ids].ravel() for s in subdomains})
+                for state, field in zip(states, fields, strict=True)]
+
+    def _gather(self, state: FrameState) -> Array:
+        """The displacement of all nodes since the first reference image, (n_nodes, 2), pixels; collective.
+
+        The unknowns of the subdomains are displacements of nodes.
+        """
+        reference = self.session.problem.reference
+        own = [(subdomain.node_ids, state.unknowns[subdomain.index].reshape(-1, 2))
+               for subdomain in reference.subdomains]
+        return place_at_nodes(self.images.team.gather_lists(own), reference.region.n_nodes)
+
+    def close(self) -> None:
+        """Free PETSc's objects."""
+        self.session.close()
+
+
+def place_lines(inputs: Inputs, lines: tuple[Vertices, ...]) -> Inputs:
+    """Put the discontinuities of a case where a frame has refined them, pixels; they stay where there are no lines."""
+    if not lines:
+        return inputs
+    sections = tuple(section.model_copy(update={"vertices": vertices})
+                     for section, vertices in zip(inputs.case.discontinuity, lines, strict=True))
+    return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": sections}))
+
+
+@dataclass(frozen=True)
+class MeasuredFrame:
+    """What became of a frame.
+
+    Attributes
+    ----------
+    record : FrameRecord
+        What is told of it.
+    result : Measurement or DdicError
+        Its field, or why it could not be measured.
+    session : ReferenceSession
+        That measured it: another one than was asked where lines were refined, which the caller has to close then.
+    """
+
+    record: FrameRecord
+    result: Measurement | DdicError
+    session: ReferenceSession
+
+
+def measure_frame(session: ReferenceSession, number: int, states: Sequence[FrameState]) -> MeasuredFrame:
+    """Measure a frame, once more where its residual says that lines are off; collective.
+
+    What cannot be measured is told. Frames are numbered from 1; ``states`` are those of the last frames that were
+    measured, on the session's subdomains.
+    """
+    images, opener = session.images, session.images.opener
+    record = FrameRecord(number, opener.describe(number), list_times(opener.inputs.case)[number - 1], converged=False,
+                         reference=session.frame, lines=session.lines)
+    began = time.perf_counter()
+    try:
+        with inputs_kept(images.team, opener.choose_stamps(number)):
+            frame = opener.open(number)
+            session, measurement = _measure_on_lines(session, frame, states, record.time)
+    except DdicError as error:
+        if not is_collective(error):
+            raise
+        return MeasuredFrame(replace(record, failure=str(error)), error, session)
+    deviation = measurement.evaluation.grey[0].residual_std
+    record = replace(record, converged=True, iterations=measurement.n_iterations, started_from=session.started_from,
+                     lines=session.lines, residual_std_grey=deviation,
+                     noise_floor_px=session.estimate_noise_floor(measurement), notes=measurement.notes,
+                     seconds=float(images.team.maximum(time.perf_counter() - began)))
+    return MeasuredFrame(record, measurement, session)
+
+
+def _measure_on_lines(session: ReferenceSession, frame: Frame, states: Sequence[FrameState],
+                      time: float) -> tuple[ReferenceSession, Measurement]:
+    """Measure a frame with a session, or with one of lines that it refines; collective."""
+    images = session.images
+    inputs = place_lines(images.opener.inputs, session.lines)
+    measured = measure_and_look(lambda: session.measure(frame, states, time), images.team, inputs, frame,
+                                images.listener, images.clock)
+    if isinstance(measured, Measurement):
+        return session, measured
+    lines = tuple(section.vertices or () for section in measured.case.discontinuity)
+    refined = ReferenceSession.prepare(images, lines, frame)
+    try:
+        measurement = refined.measure(frame, (), time)
+    except DdicError:
+        refined.close()
+        raise
+    # They are of this frame alone: a series that is resumed knows the lines, not how they were found.
+    return refined, add_notes(measurement, measured.notes[len(inputs.notes):])
+
+
+@dataclass
+class FramesSoFar:
+    """The frames of a series that are finished, and what the next one goes on from.
+
+    Attributes
+    ----------
+    session : ReferenceSession
+        Of the reference image in use; it changes with the frames.
+    records : list of FrameRecord
+        Of all frames so far, in order.
+    states : list of FrameState
+        Of the last that were measured, two at most, on the session's subdomains.
+    """
+
+    session: ReferenceSession
+    records: list[FrameRecord]
+    states: list[FrameState]
+
+    def measure(self, number: int) -> MeasuredFrame:
+        """Measure a frame, with the last one that was measured as its reference image where that is due; collective.
+
+        Frames are numbered from 1; it is not among those that are finished yet.
+        """
+        session, section = self.session, self.session.images.opener.inputs.case.series
+        if section.incremental == "always" and number - session.frame > section.update_after:
+            return self._measure_updated(number) or measure_frame(session, number, self.states)
+        frame = measure_frame(session, number, self.states)
+        if section.incremental == "auto" and self._asks_for_update(frame.record):
+            again = self._measure_updated(number)
+            if again is not None and _is_better(again.record, frame.record):
+                return again
+            if again is not None:
+                again.session.close()
+        return frame
+
+    def add(self, frame: MeasuredFrame, state: FrameState | None) -> None:
+        """Add a frame, and go on with the session that measured it; ``state`` is None where none did; collective."""
+        states = frame.session.restrict_states(self.session, self.states)
+        if frame.session is not self.session:
+            self.session.close()
+        self.session = frame.session
+        self.records.append(frame.record)
+        self.states = (states if state is None else [*states, state])[-N_STATES:]
+
+    def _measure_updated(self, number: int) -> MeasuredFrame | None:
+        """Measure a frame with a session that compares with the last one that was measured; collective.
+
+        None where there is none, or nothing is known of its field, or it is the reference image, or cannot be.
+        """
+        listener = self.session.images.listener
+        last = next((record for record in reversed(self.records) if record.converged), None)
+        if last is None or not self.states or last.number == self.session.frame:
+            return None
+        try:
+            updated = self.session.update(last, self.states[-1])
+        except DdicError as error:
+            if not is_collective(error):
+                raise
+            listener.note(f"frame {last.number} cannot be the reference image: {error}")
+            return None
+        listener.note(f"frame {last.number} is the reference image from here on; its error adds up to those that "
+                      "follow")
+        return measure_frame(updated, number, updated.restrict_states(self.session, self.states))
+
+    def _asks_for_update(self, record: FrameRecord) -> bool:
+        """Whether a frame was not measured, or its residual has grown."""
+        if not record.converged:
+            return True
+        compared = [other.residual_std_grey for other in self.records
+                    if other.converged and other.reference == record.reference]
+        return bool(compared) and record.residual_std_grey > RESIDUAL_GROWTH * compared[0]
+
+
+def _is_better(again: FrameRecord, before: FrameRecord) -> bool:
+    if not (again.converged and before.converged):
+        return again.converged
+    return again.residual_std_grey < before.residual_std_grey

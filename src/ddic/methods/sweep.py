@@ -1,41 +1,61 @@
 """Element sizes and cut-off wavelengths compared on the pair and on virtual images made from it.
 
-A candidate is one element size and one cut-off wavelength: prepared, and measured with.
+A candidate is one element size and one cut-off wavelength: prepared, and measured with. Virtual images are made on rank
+0 from the reference image, measured on all ranks; their truth is a measured field, roughened.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ddic.errors import DdicError, is_collective
+from ddic.arrays import Array
+from ddic.errors import ConvergenceError, DdicError, is_collective
+from ddic.functionals.noise_transfer import build_white_transfer
+from ddic.functionals.regularization import Material
+from ddic.functionals.texture import measure_gap
+from ddic.images.binned import ArraySource
+from ddic.images.spline import read_gradient
+from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.io.result_reader import Result
+from ddic.kinematics.nodal_gradients import recover_gradients
+from ddic.mesh.interpolation import interpolate
+from ddic.mesh.mesh import Mesh
 from ddic.methods.dd_dic import DecomposedSession
-from ddic.methods.sweep_errors import (
-    NOWHERE,
-    collect_trial,
-    correct_predictions,
-    draw_points,
-    estimate_pair_noise,
-    evaluate_pair,
-    evaluate_virtual,
-    predict_errors,
-)
-from ddic.methods.virtual_frames import VirtualFrames, VirtualTruth
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team, require_held
+from ddic.problem.region_mesh import build_material
+from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Silence
+from ddic.results.measurement import Measurement
 from ddic.results.publishing import gather
-from ddic.results.sweep import Candidate, Sweep, Trial, choose_trial
+from ddic.results.sweep import (
+    Candidate,
+    Sweep,
+    Trial,
+    choose_trial,
+    correct_predictions,
+    estimate_pair_noise,
+    predict_errors,
+)
+from ddic.solvers.probing import estimate_degrees_of_freedom, estimate_response
 from ddic.start.given_start import EarlierResult, keep_displacement
+from ddic.synth.virtual_image import fill_displacement, render_virtual_image
+
+T = TypeVar("T")
 
 
 class CandidateSession:
-    """A candidate, prepared at its first measurement; use it in a ``with`` statement.
+    """A candidate, prepared at its first measurement; the caller's to close.
 
     Parameters
     ----------
@@ -53,41 +73,37 @@ class CandidateSession:
         self.candidate, self._team, self._inputs, self._stays_open = candidate, team, inputs, stays_open
         self._session: DecomposedSession | None = None
 
-    def __enter__(self) -> CandidateSession:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def measure_pair(self, frame: Frame, start: EarlierResult | None) -> tuple[Trial, Result | None]:
         """Measure the pair of the case; collective.
 
         ``start`` is a displacement to start from; None: it is searched for. Where nothing was measured the reason is in
         the trial: one candidate that fails ends no sweep.
         """
+        found = self._measure(frame, start, lambda problem, measured: collect_trial(self.candidate, problem, measured))
+        return (Trial(self.candidate, NOWHERE, failure=found), None) if isinstance(found, str) else found
+
+    def measure_virtual(self, frame: Frame, start: EarlierResult) -> Result | None:
+        """Measure a virtual image from a start; collective. The field is on every rank, None where there is none."""
+        found = self._measure(frame, start, lambda _, measured: gather(measured))
+        return None if isinstance(found, str) else found
+
+    def _measure(self, frame: Frame, start: EarlierResult | None,
+                 take: Callable[[WeightedProblem, Measurement], T]) -> T | str:
+        """What is taken of a measurement, or why there is none."""
         try:
-            session = self._open()
-            return collect_trial(self.candidate, session.problem, session.measure(frame, start))
+            if self._session is None:
+                clock = PhaseClock(waiting=self._team.waiting)
+                self._session = DecomposedSession(self._team, self._inputs, Silence(), clock)
+            return take(self._session.problem, self._session.measure(frame, start))
         except DdicError as error:
             # What this rank alone raises must end the job.
             if not is_collective(error):
                 raise
             self.close()
-            return Trial(self.candidate, NOWHERE, failure=str(error)), None
+            return str(error)
         finally:
-            self._finish()
-
-    def measure_virtual(self, frame: Frame, start: EarlierResult) -> Result | None:
-        """Measure a virtual image from a start; collective. The field is on every rank, None where there is none."""
-        try:
-            return gather(self._open().measure(frame, start))
-        except DdicError as error:
-            if not is_collective(error):
-                raise
-            self.close()
-            return None
-        finally:
-            self._finish()
+            if not self._stays_open:
+                self.close()
 
     def close(self) -> None:
         """Free the factors."""
@@ -95,15 +111,123 @@ class CandidateSession:
             self._session.close()
         self._session = None
 
-    def _open(self) -> DecomposedSession:
-        if self._session is None:
-            self._session = DecomposedSession(self._team, self._inputs, Silence(),
-                                              PhaseClock(waiting=self._team.waiting))
-        return self._session
 
-    def _finish(self) -> None:
-        if not self._stays_open:
-            self.close()
+N_POINTS = 20_000
+"""Places at which errors are taken: with some thousand independent ones among them a few per cent of each error, alike
+for all candidates."""
+
+LEAST_MEASURED = 0.95
+"""Share of the places at which a candidate must measure: without those that are hardest it would look better."""
+
+NOWHERE = np.zeros((0, 2))
+
+
+def collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
+    """Judge what a candidate measured of the pair by residual, degrees of freedom and noise; collective.
+
+    The field comes with the trial, both on every rank. The problem is of one camera, the measurement the last one with
+    it. Raises ConvergenceError on all ranks where a linear step does not converge.
+    """
+    team, state = problem.team, measurement.evaluation.grey[0]
+    systems, step = problem.solver.assembly.systems, problem.solver.step
+    freedom = estimate_degrees_of_freedom(team, systems, step)
+    counted = [~is_unmeasured for is_unmeasured in measurement.unmeasured]
+    noise = state.residual_std / np.sqrt(2.0) * estimate_response(team, systems, step, counted).rms_per_grey
+    result = gather(measurement)
+    # A gain and an offset of each element follow noise as well.
+    n_grey = 2 * result.mesh.n_cells if measurement.grey_correction == "element" else 0
+    return Trial(candidate, NOWHERE, state.residual_rms, state.n_pixels, degrees_of_freedom=freedom + n_grey,
+                 noise=noise), result
+
+
+def draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Array:
+    """Draw places all over the mesh of the first field that was measured, the same at every call.
+
+    Places are (n_points, 2), pixels. Raises ConvergenceError where no candidate measured anything.
+    """
+    result = next((field for field in fields if field is not None), None)
+    if result is None:
+        raise ConvergenceError(f"nothing that the sweep tries measures the pair: {trials[0].failure}")
+    low, high = result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)
+    points = np.random.default_rng(0).uniform(low, high, (N_POINTS, 2))
+    return np.asarray(points[np.isfinite(result.at(points)).all(axis=1)])
+
+
+def evaluate_pair(trial: Trial, field: Result | None, points: Array, material: Material) -> Trial:
+    """Add what a candidate measured of the pair at points, (n_points, 2), pixels, and its forces out of equilibrium."""
+    if field is None:
+        return replace(trial, displacement=np.full(points.shape, np.nan))
+    return replace(trial, displacement=field.at(points), gap=measure_gap(field.mesh, field.displacement, material))
+
+
+def evaluate_virtual(trial: Trial, result: Result | None, truth: VirtualTruth, points: Array) -> Trial:
+    """Compare what a candidate measured of the virtual images with the truth at points, (n_points, 2), pixels.
+
+    The trial gains its RMS error of a component, or why there is none; ``result`` is None where it could not be
+    measured.
+    """
+    if result is None:
+        return replace(trial, failure="the virtual images could not be measured")
+    error = result.at(points) - truth.at(points)
+    is_measured = np.isfinite(error).all(axis=1)
+    if is_measured.mean() < LEAST_MEASURED:
+        return replace(trial, failure=f"of the virtual images only {100 * is_measured.mean():.0f} % could be measured")
+    return replace(trial, virtual_error=float(np.sqrt((error[is_measured] ** 2).mean())))
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualTruth:
+    """A displacement that virtual images have.
+
+    Between nodes it is no finite element's: sum_i N_i (u_i + G_i (x - x_i) / 2), G_i the gradients at nodes, which is
+    exact where the displacement is quadratic. Else the elements of its own mesh would hold it better than any specimen.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        On which it was measured, pixels.
+    displacement : (n_nodes, 2) array
+        Of its nodes, pixels; nan where nothing was measured.
+    """
+
+    mesh: Mesh
+    displacement: Array
+
+    def at(self, points: Array) -> Array:
+        """Interpolate it at points, (n, 2), pixels; nan where there is none."""
+        found = interpolate(self.mesh, self._columns, points)
+        gradient = found[:, 2:].reshape(-1, 2, 2)
+        return np.asarray(found[:, :2] + 0.5 * np.einsum("ncj,nj->nc", gradient, points))
+
+    @cached_property
+    def _columns(self) -> Array:
+        """u_i - G_i x_i / 2 and G_i of the nodes, (n_nodes, 6)."""
+        (gradient,) = recover_gradients([self.mesh], [self.displacement.ravel()], list)
+        gradient = np.where(np.isfinite(gradient), gradient, 0.0)
+        linear = 0.5 * np.einsum("ncj,nj->nc", gradient, self.mesh.nodes)
+        return np.column_stack([self.displacement - linear, gradient.reshape(-1, 4)])
+
+    def with_lost_detail(self, again: Result) -> VirtualTruth:
+        """Add what measuring it once more takes off: 2 u - S u.
+
+        The measurement S leaves a wave a share t of its amplitude; the measured wave, t times the specimen's, becomes t
+        (2 - t) times. What noise has put in is raised by at most as much. ``again`` is what the same settings measure
+        of an image without noise that has this displacement.
+        """
+        rougher = 2.0 * self.displacement - again.displacement
+        # Where it was not measured again it stays as it is.
+        return VirtualTruth(self.mesh, np.where(np.isfinite(rougher), rougher, self.displacement))
+
+    def render(self, grey: Array, noise: float) -> NDArray[np.float32]:
+        """Render the deformed image of ``grey``, (height, width), with noise of a standard deviation; grey levels."""
+        height, width = grey.shape
+        y, x = np.mgrid[0:height, 0:width]
+        pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+        displacement = fill_displacement(self.at(pixels).reshape(height, width, 2))
+        image = render_virtual_image(grey, displacement)
+        random = np.random.default_rng(0)
+        image += np.float32(noise) * random.standard_normal(image.shape, dtype=np.float32)
+        return image
 
 
 KEPT_PIXELS = 50_000_000
@@ -121,24 +245,26 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
     measured next, twice for each candidate. The sweep is the same on all ranks. Raises ConvergenceError on all ranks,
     where no candidate measures the pair, or the virtual images.
     """
-    images = VirtualFrames(team, varied[0][1])
-    stays_open = images.reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
+    inputs = varied[0][1]
+    reference, degree = inputs.cameras[0].reference, inputs.case.correlation.spline_degree
+    section = inputs.case.regularization
+    material = Material() if section is None else build_material(section)
+    stays_open = reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
     with ExitStack() as stack:
-        sessions = [stack.enter_context(CandidateSession(team, candidate, inputs, stays_open=stays_open))
+        sessions = [stack.enter_context(closing(CandidateSession(team, candidate, inputs, stays_open=stays_open)))
                     for candidate, inputs in varied]
         trials, fields = _measure_pair(sessions, frame, advance)
         points = team.alike(lambda: draw_points(trials, fields))
-        trials = [evaluate_pair(trial, field, points, images.material)
-                  for trial, field in zip(trials, fields, strict=True)]
-        noise = estimate_pair_noise(trials, images.find_noise_transfer(trials))
-        trials = predict_errors(trials, noise, images.measure_gradient(points))
+        trials = [evaluate_pair(trial, field, points, material) for trial, field in zip(trials, fields, strict=True)]
+        noise = estimate_pair_noise(trials, _find_noise_transfer(trials, degree))
+        trials = predict_errors(trials, noise, team.on_root(lambda: _measure_gradient(reference, points, degree)))
         known = int(np.nanargmin([trial.predicted_error for trial in trials]))
         field = require_held(fields[known])
         start = keep_displacement(field, "the measured field")
         truth = VirtualTruth(field.mesh, field.displacement)
-        again = sessions[known].measure_virtual(images.render(truth, 0.0), start)
+        again = sessions[known].measure_virtual(_render(team, reference, truth, 0.0), start)
         truth = truth if again is None else truth.with_lost_detail(again)
-        virtual = images.render(truth, float(np.sqrt(noise.of_field)))
+        virtual = _render(team, reference, truth, float(np.sqrt(noise.of_field)))
         for number, session in enumerate(sessions):
             advance(f"virtual images, {trials[number].candidate.describe()}")
             if not trials[number].failure:
@@ -163,3 +289,31 @@ def _measure_pair(sessions: Sequence[CandidateSession], frame: Frame,
         if start is None and field is not None:
             start = keep_displacement(field, "the first field")
     return trials, fields
+
+
+def _find_noise_transfer(trials: Sequence[Trial], degree: int) -> float:
+    """What interpolation leaves of the deformed image's noise where the specimen has moved, from 0 to 1.
+
+    Of the trials of the pair the first that measured it counts.
+    """
+    measured = next(trial for trial in trials if not trial.failure)
+    is_known = np.isfinite(measured.displacement).all(axis=1)
+    # As much along x as along y.
+    return float(build_white_transfer(degree).find(measured.displacement[is_known])[:, 0].mean())
+
+
+def _measure_gradient(reference: MaskedSource, points: Array, degree: int) -> float:
+    """Mean square of the reference image's gradient at the pixels next to points, (n, 2), both components together."""
+    gradient = read_gradient(reference.image, reference.extent, degree)
+    columns, rows = np.rint(points).astype(np.int64).T
+    squares = (gradient.slopes[:, rows, columns] ** 2).sum(axis=0)
+    return float(squares.mean(dtype=np.float64))
+
+
+def _render(team: Team, reference: MaskedSource, truth: VirtualTruth, noise: float) -> Frame:
+    """The deformed image of a displacement, with noise of a standard deviation, grey levels; collective.
+
+    Every rank holds it whole, 4 bytes a pixel.
+    """
+    values = team.on_root(lambda: truth.render(reference.read_whole(), noise))
+    return (MaskedSource(ArraySource(Path("virtual image"), values)),)

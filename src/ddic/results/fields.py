@@ -1,7 +1,7 @@
-"""The mesh and the fields of a measurement, piece by piece, streamed through rank 0.
+"""What the result file holds of a measurement: mesh and fields, tables, curves and attributes.
 
-The mesh is as a result shows it: parts of cut cells as triangles, so that a discontinuity opens. Strains at the nodes
-are as the result file has them.
+Mesh and fields go piece by piece through rank 0. The mesh is as a result shows it: parts of cut cells as triangles, so
+that a discontinuity opens. Strains at the nodes are as the result file has them.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
 from ddic.parallel.distribution import stream_to_root, sum_shared_nodes
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
+from ddic.results.near import describe_near_field
+from ddic.results.publishing import write_case
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
-
 
 
 def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> list[Array]:
@@ -152,7 +153,8 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     team, images = measurement.team, measurement.inputs.case.images
     n_nodes = measurement.region.n_nodes
     drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
-    sizes = team.gather_lists([_size(piece.mesh) for piece in drawn])
+    sizes = team.gather_lists([PieceSize(piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity))
+                               for piece in drawn])
     length_unit = None if images.pixel_size is None else images.length_unit
     at_points = (*schema.point_fields(length_unit), *schema.nodal_strain_fields())
     on_cells = schema.cell_fields(len(measurement.cameras))
@@ -171,10 +173,6 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
         n_written += n_pieces
 
     stream_to_root(team, _make_batches(measurement, drawn, gradients), write)
-
-
-def _size(mesh: Mesh) -> PieceSize:
-    return PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))
 
 
 def _group(counts: Sequence[int]) -> Iterator[range]:
@@ -213,14 +211,13 @@ def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
 def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> Piece:
     """The piece of an owned subdomain, given by its place, without the strains of its field."""
     mesh = drawn.mesh
-    on_cells = {**_cell_data(measurement, number), **_cell_deviations(measurement, number)}
-    return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types,
-                 {**_point_data(measurement, drawn, u), **_point_deviations(measurement, drawn, number)},
-                 {name: values[drawn.cells] for name, values in on_cells.items()})
+    return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, drawn, number, u),
+                 {name: values[drawn.cells] for name, values in _cell_data(measurement, number).items()})
 
 
-def _point_data(measurement: Measurement, drawn: DrawnMesh, u: Array) -> dict[str, NDArray[Any]]:
-    pixel_size = measurement.inputs.case.images.pixel_size
+def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> dict[str, NDArray[Any]]:
+    """Fields at the points of an owned subdomain, given by its place, but for strains."""
+    pixel_size, uncertainty = measurement.inputs.case.images.pixel_size, measurement.uncertainty
     vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))
     data: dict[str, NDArray[Any]] = {
         schema.DISPLACEMENT: vectors,
@@ -229,30 +226,14 @@ def _point_data(measurement: Measurement, drawn: DrawnMesh, u: Array) -> dict[st
     }
     if pixel_size is not None:
         data[schema.DISPLACEMENT_PHYSICAL] = vectors * pixel_size
+    if uncertainty is not None:
+        found = uncertainty.deviations[number]
+        for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
+                              (schema.SIGMA_NODAL_STRAIN, found.nodal_strain)):
+            data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
+        if uncertainty.bias is not None:
+            data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
     return data
-
-
-def _point_deviations(measurement: Measurement, drawn: DrawnMesh, number: int) -> dict[str, NDArray[Any]]:
-    """Standard deviations and bias at the points of an owned subdomain, given by its place; nothing without them."""
-    uncertainty = measurement.uncertainty
-    if uncertainty is None:
-        return {}
-    found = uncertainty.deviations[number]
-    data: dict[str, NDArray[Any]] = {}
-    for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
-                          (schema.SIGMA_NODAL_STRAIN, found.nodal_strain)):
-        data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
-    if uncertainty.bias is not None:
-        data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
-    return data
-
-
-def _cell_deviations(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
-    """Standard deviations on the cells of an owned subdomain, given by its place; nothing without them."""
-    uncertainty = measurement.uncertainty
-    if uncertainty is None:
-        return {}
-    return dict(zip(schema.SIGMA_CELL_STRAIN, uncertainty.deviations[number].cell_strain.T, strict=True))
 
 
 def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]:
@@ -272,6 +253,9 @@ def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]
     }
     if len(measurement.cameras) > 1:
         data[schema.CAMERA] = np.full(n_cells, subdomain.camera, dtype=np.int32)
+    if measurement.uncertainty is not None:
+        deviations = measurement.uncertainty.deviations[number].cell_strain
+        data |= dict(zip(schema.SIGMA_CELL_STRAIN, deviations.T, strict=True))
     return data
 
 
@@ -281,3 +265,44 @@ def _residual_rms(measurement: Measurement, camera: int, residual: Residual) -> 
     _, squares = residual.cell_sums.sum_residual(*correction)
     n = residual.cell_sums.n_pixels
     return np.where(n > 0, np.sqrt(squares / np.maximum(n, 1.0)), np.nan)
+
+
+def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
+    """List Gauss-Newton's iterations, columns by name; the residual is that before each correction."""
+    records = measurement.records
+    columns: dict[str, list[Any]] = {
+        "iteration": [r.number for r in records],
+        "relative_correction": [r.size.relative for r in records],
+        "rms_correction_px": [r.size.rms for r in records],
+        "largest_correction_px": [r.size.largest for r in records],
+        "slow_nodes": [r.size.n_slow for r in records],
+        "of_slow_nodes": [int(r.is_local) for r in records],
+        "residual_std_grey": [r.grey.residual_std for r in records],
+        "residual_rms_grey": [r.grey.residual_rms for r in records],
+        "n_pixels": [r.grey.n_pixels for r in records],
+        "gain": [r.grey.gain for r in records],
+        "offset": [r.grey.offset for r in records],
+    }
+    for camera in measurement.cameras[1:]:
+        columns[f"near_{camera.number}_residual_std_grey"] = [r.cameras[camera.number].residual_std for r in records]
+    columns["krylov_iterations"] = [r.krylov_iterations for r in records]
+    columns["linear_error_px"] = [r.linear_error for r in records]
+    return columns
+
+
+def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
+    """Write the table of Gauss-Newton's iterations, the Krylov residuals of each, and all attributes; on rank 0.
+
+    These are the case, times and units, how noise was judged, what is known of near-field set-ups, and the status.
+    """
+    writer.write_table(schema.GAUSS_NEWTON, list_iterations(measurement))
+    writer.write_curves(schema.KRYLOV, [r.krylov_history for r in measurement.records])
+    write_case(measurement, writer, {"largest_jump_px": measurement.largest_jump,
+                                     "notes": "\n".join(measurement.inputs.notes)})
+    if measurement.uncertainty is not None:
+        from ddic.results.field_uncertainty import list_uncertainty
+
+        writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
+    for motion in measurement.motions:
+        writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))
+    writer.write_status(measurement.failure)

@@ -47,8 +47,10 @@ class Silence:
     phase = progress = frame = problem_size = iteration = correction = note
 
 
-class WithoutNotes(Listener):
+class WithoutNotes:
     """Tells another listener how a measurement goes on, but nothing of a field that is not the result.
+
+    Phases are told by their clock, whoever listens.
 
     Parameters
     ----------
@@ -59,21 +61,6 @@ class WithoutNotes(Listener):
     def __init__(self, listener: Listener) -> None:
         self._listener = listener
 
-    def phase(self, phase: Phase) -> None:
-        """Pass it on."""
-        self._listener.phase(phase)
-
-    def progress(self, share: float) -> None:
-        """Pass it on."""
-        self._listener.progress(share)
-
-    def note(self, line: str) -> None:
-        """Ignore."""
-
-    def frame(self, number: int, n_frames: int, image: str) -> None:
-        """Pass it on."""
-        self._listener.frame(number, n_frames, image)
-
     def problem_size(self, size: ProblemSize) -> None:
         """Pass it on."""
         self._listener.problem_size(size)
@@ -82,9 +69,10 @@ class WithoutNotes(Listener):
         """Pass it on."""
         self._listener.iteration(record)
 
-    def correction(self, record: CorrectionRecord) -> None:
-        """Pass it on."""
-        self._listener.correction(record)
+    def note(self, *_: object, **__: object) -> None:
+        """Ignore."""
+
+    phase = progress = frame = correction = note
 
 
 def note_all(listener: Listener, notes: Iterable[str]) -> None:

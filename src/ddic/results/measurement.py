@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
@@ -23,7 +22,6 @@ from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
-from ddic.mesh.interpolation import interpolate
 from ddic.mesh.plane import build_tree
 from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
@@ -32,15 +30,8 @@ from ddic.partition.subdomain import Subdomain
 from ddic.problem.region_mesh import Region, compute_cut_off_wavelength
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
-from ddic.results.fields import write_pieces
-from ddic.results.histories import list_iterations, write_attributes, write_histories
-from ddic.results.near import (
-    SetupMotion,
-    collect_motions,
-    describe_motions,
-    estimate_covariances,
-    summarize_near_field,
-)
+from ddic.results.fields import list_iterations, write_pieces, write_tables
+from ddic.results.near import SetupMotion, measure_motions, summarize_near_field
 from ddic.results.publishing import describe_image
 from ddic.results.residual_image import write_residual_images
 from ddic.results.summary import Summary, find_field_ranges
@@ -179,32 +170,10 @@ class Measurement:
         """Correction of grey levels that was taken."""
         return self.model.correction
 
-    def at(self, points: Array) -> Array:
-        """Interpolate the displacement by shape functions, never across a hole; collective.
-
-        ``points`` are positions in the specimen's frame, (n, 2), pixels, the same on all ranks. The displacement, (n,
-        2), pixels, is on all ranks too; nan outside the mesh and where nothing was measured.
-        """
-        total, n_found = np.zeros(points.shape), np.zeros(len(points))
-        for subdomain, displacement in zip(self.subdomains, self.displacements, strict=True):
-            found = interpolate(subdomain.mesh, displacement.reshape(subdomain.mesh.nodes.shape), points)
-            inside = np.isfinite(found).all(axis=1)
-            total[inside] += found[inside]
-            n_found += inside
-        # A point on an interface lies in several subdomains, which hold the same displacement there.
-        total, n_found = self.team.sum(total), self.team.sum(n_found)
-        return np.where(n_found[:, None] > 0, total / np.maximum(n_found, 1.0)[:, None], np.nan)
-
     def write(self, writer: ResultWriter | None) -> None:
         """Write fields, histories and residual images; collective, the writer is rank 0's, None elsewhere."""
-        def write_on_root() -> None:
-            opened = require_held(writer)
-            write_histories(self, opened)
-            write_attributes(self, opened)
-            opened.write_status(self.failure)
-
         write_pieces(self, writer)
-        self.team.build_on_root(write_on_root)
+        self.team.build_on_root(lambda: write_tables(self, require_held(writer)))
         if self.inputs.case.output.residual_image:
             write_residual_images(self, writer)
 
@@ -256,17 +225,10 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     field, excluded = solved.field, solved.seen.excluded
     # Cells that are pulled show their residual.
     model = replace(solved.used, pulled=None)
-    motions: tuple[SetupMotion, ...] = ()
-    if any(camera.setup.n_motion_unknowns for camera in inputs.cameras):
-        solver = problem.solver
-        spread = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
-        motions = describe_motions(inputs.cameras, collect_motions(team, inputs.cameras, subdomains, field.q), spread)
+    motions = measure_motions(problem, field.q)
     is_known = solved.is_evaluated and not excluded.is_any(team)
     evaluation = solved.seen.evaluation if is_known else model.evaluate(field.q)
-    cell_errors, lost = _judge_cells(problem, model, evaluation)
-    are_led_astray = _find_cells_near_pulled(problem, excluded)
-    cell_errors = [replace(of_cells, doubtful=of_cells.doubtful | is_led)
-                   for of_cells, is_led in zip(cell_errors, are_led_astray, strict=True)]
+    cell_errors, lost = _judge_cells(problem, model, evaluation, excluded)
     unmeasured = find_unmeasured_nodes(problem, evaluation)
     uncertainty: FieldUncertainty | None = None
     of_uncertainty: tuple[str, ...] = ()
@@ -312,13 +274,21 @@ def _describe_correction(case: Case, model: ResidualModel) -> tuple[str, ...]:
     return (f"grey levels: {whose[model.correction]}, chosen from the pair (correlation.grey_correction)",)
 
 
-def _judge_cells(problem: WeightedProblem, model: ResidualModel,
-                 evaluation: Evaluation) -> tuple[list[CellErrors], str]:
+def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
+                 excluded: Exclusions) -> tuple[list[CellErrors], str]:
     """What the residual says about the cells of each owned subdomain, and why none is believed; collective."""
     team = problem.team
-    owned = list(zip(model.views, evaluation.residuals, _take_hessians(problem, model), strict=True))
+    # Of the own camera, and of the reference image as it was compared.
+    hessians = [own for own, *_ in problem.reference.hessians]
+    if model.blurs:
+        hessians = team.together(lambda: [own.assemble_hessian() for own, *_ in model.views])
+    owned = list(zip(model.views, evaluation.residuals, hessians, strict=True))
     errors = find_cell_errors(team, team.together(lambda: [
         measure_cell_residuals(view, hessian, residual) for (view, *_), (residual, *_), hessian in owned]))
+    # What is left of a cell that is mostly hidden says little of it, whatever its residual.
+    are_hidden = [residual.cell_sums.n_pixels < LEAST_USED * view.prepared.count_pixels()
+                  for (view, *_), (residual, *_) in zip(model.views, evaluation.residuals, strict=True)]
+    doubts = [are_hidden, _find_cells_near_pulled(problem, excluded)]
     lost = ""
     if model.blurs or problem.reference.inputs.case.regularization is None:
         # Where little contrast is left, the residual of a wrong place may be as small as that of the right one.
@@ -326,16 +296,12 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel,
         deviations = estimate_node_deviations(model, problem.solver.assembly.systems, noise, by_pixels_alone=True)
         are_noisy = [find_noisy_cells(subdomain.mesh, of_nodes)
                      for subdomain, of_nodes in zip(model.subdomains, deviations, strict=True)]
-        errors = [replace(of_cells, doubtful=of_cells.doubtful | is_noisy)
-                  for of_cells, is_noisy in zip(errors, are_noisy, strict=True)]
+        doubts.append(are_noisy)
         if model.blurs:
             are_shown = [of_views[0].cell_sums.n_pixels > 0 for of_views in evaluation.residuals]
             lost = describe_lost_field(team, are_noisy, are_shown)
-    # What is left of a cell that is mostly hidden says little of it, whatever its residual.
-    are_hidden = [residual.cell_sums.n_pixels < LEAST_USED * view.prepared.count_pixels()
-                  for (view, *_), (residual, *_) in zip(model.views, evaluation.residuals, strict=True)]
-    return [replace(of_cells, doubtful=of_cells.doubtful | is_hidden)
-            for of_cells, is_hidden in zip(errors, are_hidden, strict=True)], lost
+    return [replace(of_cells, doubtful=np.logical_or.reduce([of_cells.doubtful, *reasons]))
+            for of_cells, *reasons in zip(errors, *doubts, strict=True)], lost
 
 
 def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[BoolArray]:
@@ -352,13 +318,6 @@ def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> l
         return [np.zeros(len(of_mesh), dtype=bool) for of_mesh in centroids]
     tree = build_tree(np.concatenate(pulled))
     return [tree.query(of_mesh)[0] <= wavelength for of_mesh in centroids]
-
-
-def _take_hessians(problem: WeightedProblem, model: ResidualModel) -> list[sparse.csr_matrix]:
-    """M of each owned subdomain's own camera, of the reference image as it was compared."""
-    if model.blurs:
-        return problem.team.together(lambda: [own.assemble_hessian() for own, *_ in model.views])
-    return [own for own, *_ in problem.reference.hessians]
 
 
 def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
@@ -379,16 +338,12 @@ def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displac
             "not determine it; use larger elements or a longer regularization.cut_off_wavelength")
 
 
-Finish = Callable[[Any, str], object]
-"""Makes a measurement of a solution and the reason why it is no result; collective."""
-
-
 @contextmanager
-def last_field_kept(clock: PhaseClock, finish: Finish) -> Iterator[None]:
+def last_field_kept(clock: PhaseClock, finish: Callable[[Any, str], object]) -> Iterator[None]:
     """Let a ConvergenceError bring the measurement of its last field in place of the solver's solution; collective.
 
-    ``finish`` makes the measurement. The error is raised as it was, without a measurement where its solution shows
-    nothing.
+    ``finish`` makes the measurement of a solution and the reason why it is no result. The error is raised as it was,
+    without a measurement where its solution shows nothing.
     """
     try:
         yield
@@ -397,18 +352,14 @@ def last_field_kept(clock: PhaseClock, finish: Finish) -> Iterator[None]:
         # Of one that is not raised on all ranks the job ends.
         if found is not None and is_collective(error):
             with clock.phase(Phase.FINISH):
-                error.last = _finish(finish, found, str(error))
+                try:
+                    error.last = finish(found, str(error))
+                except DdicError as second:
+                    # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the
+                    # job.
+                    if not is_collective(second):
+                        raise
         raise
-
-
-def _finish(finish: Finish, found: Any, failure: str) -> object:
-    try:
-        return finish(found, failure)
-    except DdicError as error:
-        # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the job.
-        if not is_collective(error):
-            raise
-        return None
 
 
 def gather_displacement(measurement: Measurement) -> Array | None:

@@ -14,6 +14,7 @@ from ddic.kinematics.camera import CameraSetup
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.publishing import describe_image
 from ddic.results.summary import NearSummary
 from ddic.solvers.dual.dual_problem import sum_motion_scales
@@ -51,6 +52,15 @@ class SetupMotion:
     alpha: Array
     theta: float
     covariance: Array
+
+
+def measure_motions(problem: WeightedProblem, q: Field) -> tuple[SetupMotion, ...]:
+    """Measure how set-ups have moved in a field, of the cameras whose set-up may move; collective."""
+    team, solver, cameras = problem.team, problem.solver, problem.reference.inputs.cameras
+    if not any(camera.setup.n_motion_unknowns for camera in cameras):
+        return ()
+    covariances = estimate_covariances(team, solver.assembly.systems, solver.step, problem.noise[0])
+    return describe_motions(cameras, collect_motions(team, cameras, problem.reference.subdomains, q), covariances)
 
 
 def estimate_covariances(team: Team, systems: Sequence[LocalSystem], step: LinearStep,

@@ -1,38 +1,127 @@
-"""How a measurement leaves the program, whatever it is made of: to a file, or to memory.
+"""What a method measured, whatever it is made of: the seam by which it is written, summed up and started from.
 
-Where a result comes from: images, versions, commit, command.
-
-Seconds by phase over all ranks.
+How it leaves the program, to a file or to memory; where a result comes from: images, versions, commit, command.
 """
 
 import hashlib
-import math
 import platform
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import mpi4py.MPI
 import numpy as np
 import petsc4py.PETSc
 
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.images.source import ImageSource
+from ddic.inputs.cameras import Frame
+from ddic.inputs.inputs import Inputs
 from ddic.io import result_schema as schema
 from ddic.io.image_file import compute_sha256
 from ddic.io.input_file import find_source_commit
 from ddic.io.replace_on_exit import NewFiles
 from ddic.io.result_reader import Result
 from ddic.io.result_writer import ResultWriter
-from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
-from ddic.results.publishable import Publishable
+from ddic.problem.weighted_problem import ProblemSize
+from ddic.results.summary import Summary
 from ddic.version import __version__
+
+T = TypeVar("T")
+
+
+@runtime_checkable
+class Publishable(Protocol):
+    """What a method measured, and what it does to be read by others; every call is collective.
+
+    A method without subdomains or a mesh writes what it has: images, tables, attributes.
+    """
+
+    @property
+    def team(self) -> Team:
+        """All ranks."""
+
+    @property
+    def inputs(self) -> Inputs:
+        """Reference images and settings."""
+
+    @property
+    def frame(self) -> Frame:
+        """The deformed images."""
+
+    @property
+    def size(self) -> ProblemSize:
+        """Sizes and weights."""
+
+    @property
+    def unknowns(self) -> Any:
+        """What the session that measured it may start another frame from."""
+
+    @property
+    def grey_correction(self) -> GreyCorrection:
+        """What was corrected of grey levels."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know."""
+
+    @property
+    def failure(self) -> str:
+        """Why it is no result; empty where it converged."""
+
+    def write(self, writer: ResultWriter | None) -> None:
+        """Write everything that was measured.
+
+        Parameters
+        ----------
+        writer : ResultWriter or None
+            Open on rank 0, None elsewhere.
+        """
+
+    def describe_origin(self) -> dict[str, str | int]:
+        """Say what it was measured from.
+
+        Returns
+        -------
+        dict
+            Images and sizes, by name; on rank 0.
+        """
+
+    def summarize(self, of_run: dict[str, Any]) -> Summary:
+        """Sum it up for scripts and people.
+
+        Parameters
+        ----------
+        of_run : dict
+            What is told of any method, by field of the summary.
+
+        Returns
+        -------
+        Summary
+            The same on all ranks.
+        """
+
+
+def write_case(measured: Publishable, writer: ResultWriter, of_method: dict[str, Any]) -> None:
+    """Write the case with what a method has to say beside it, and the times and units; on rank 0."""
+    inputs, size = measured.inputs, measured.size
+    images = inputs.case.images
+    writer.write_attributes(schema.CASE, {
+        "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.asked_case.model_dump_json(),
+        "eta": size.eta, **of_method,
+    })
+    writer.write_attributes(schema.TIME, {"reference": images.reference_time, "deformed": images.deformed_time})
+    writer.write_attributes(schema.UNITS, {"pixel_size": images.pixel_size or 1.0, "length_unit": images.length_unit})
+    if size.half_amplitudes is not None:
+        writer.write_attributes(schema.CASE, {"half_amplitude_shear_px": size.half_amplitudes.shear,
+                                              "half_amplitude_longitudinal_px": size.half_amplitudes.longitudinal})
+
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
@@ -46,16 +135,14 @@ def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
 @cache
 def _collect_versions() -> dict[str, str | int]:
     """Versions of what runs; looked up once a process, as each frame of a series asks."""
-    facts: dict[str, str | int] = {
+    return {
         "ddic": __version__,
         "commit": find_source_commit(),
         "python": platform.python_version(),
         "petsc": ".".join(str(n) for n in petsc4py.PETSc.Sys.getVersion()),
         "mpi": mpi4py.MPI.Get_library_version().splitlines()[0].strip("\0 "),
+        **{library: metadata.version(library) for library in _LIBRARIES},
     }
-    for library in _LIBRARIES:
-        facts[library] = metadata.version(library)
-    return facts
 
 
 @lru_cache(maxsize=8)
@@ -76,110 +163,47 @@ def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
             f"{name}_sha256": checksum}
 
 
-@dataclass(frozen=True)
-class PhaseTimes:
-    """Seconds by phase, in the order in which phases began.
-
-    Attributes
-    ----------
-    seconds : dict
-        Wall seconds of the slowest rank.
-    cpu_seconds : dict
-        CPU seconds of all ranks.
-    imbalance : dict
-        Busy seconds of the busiest rank over their mean, from 1 (all have the same to do) to the number of ranks (one
-        does it all). Busy are CPU seconds that are not spent in a team's communication; what a rank waits inside PETSc
-        counts as busy.
-    """
-
-    seconds: dict[Phase, float]
-    cpu_seconds: dict[Phase, float]
-    imbalance: dict[Phase, float]
+Add = Callable[[ResultWriter], None]
+"""Writes on rank 0 what else belongs in a result file."""
 
 
-def gather_phase_times(team: Team, clock: PhaseClock) -> PhaseTimes:
-    """Gather what the clocks of all ranks have so far, of the phases that this rank has had; collective."""
-    clocks = team.gather_lists([(clock.wall, clock.cpu, clock.busy)])
-    seconds, cpu_seconds, imbalance = {}, {}, {}
-    for phase in clock.wall:
-        seconds[phase] = max(wall.get(phase, 0.0) for wall, _, _ in clocks)
-        cpu_seconds[phase] = sum(cpu.get(phase, 0.0) for _, cpu, _ in clocks)
-        imbalance[phase] = _imbalance([busy.get(phase, 0.0) for _, _, busy in clocks])
-    return PhaseTimes(seconds, cpu_seconds, imbalance)
-
-
-def _imbalance(busy: list[float]) -> float:
-    """Return the largest of the ranks' seconds over their mean, 1 where none has any."""
-    mean = float(np.mean(busy))
-    return max(busy) / mean if mean > 0 else 1.0
-
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Destination:
-    """Where a result goes.
-
-    Attributes
-    ----------
-    path : Path or None
-        The file; None for memory.
-    flip_y : bool
-        Whether y points up in it.
-    times : PhaseTimes or None
-        Of the phases so far, for the file's history.
-    noise_floor : float
-        RMS displacement that the images' noise leaves, pixels; nan where it is not known.
-    """
-
-    path: Path | None
-    flip_y: bool = False
-    times: PhaseTimes | None = None
-    noise_floor: float = float("nan")
-
-
-def publish(measurement: Publishable, destination: Destination, files: NewFiles | None = None) -> None:
+def publish(measurement: Publishable, path: Path, files: NewFiles | None = None, *, flip_y: bool = False,
+            add: Add = lambda writer: None) -> None:
     """Write a result file; collective, only rank 0 touches the disk.
 
-    It takes its name with ``files`` of rank 0, by default by itself. Raises OSError on all ranks where it cannot be
-    written.
+    It takes its name with ``files`` of rank 0, by default by itself; with ``flip_y`` y points up in it. Raises OSError
+    on all ranks where it cannot be written.
     """
-    _write(measurement, destination, lambda _: None, files)
+    _write(measurement, path, add, flip_y=flip_y, files=files)
 
 
 def gather(measurement: Publishable) -> Result:
     """Bring a whole measurement together as a result file would hold it, in memory, on every rank; collective."""
-    return measurement.team.broadcast(_write(measurement, Destination(None), ResultWriter.read_back))
+    return measurement.team.broadcast(_write(measurement, None, ResultWriter.read_back))
 
 
-def pack(measurement: Publishable, destination: Destination, add: Callable[[ResultWriter], None]) -> bytes | None:
-    """Make the content of a result file, on rank 0, for somebody else to write; collective.
-
-    The destination's path is not looked at; ``add`` writes what else belongs in the file, on rank 0.
-    """
+def pack(measurement: Publishable, *, flip_y: bool, add: Add) -> bytes | None:
+    """Make the content of a result file, on rank 0, for somebody else to write; collective."""
     def finish(writer: ResultWriter) -> bytes:
         add(writer)
         return writer.read_image()
 
-    return _write(measurement, replace(destination, path=None), finish)
+    return _write(measurement, None, finish, flip_y=flip_y)
 
 
-def _write(measurement: Publishable, destination: Destination, take: Callable[[ResultWriter], T],
+def _write(measurement: Publishable, path: Path | None, take: Callable[[ResultWriter], T], *, flip_y: bool = False,
            files: NewFiles | None = None) -> T | None:
-    """Write a measurement; what fails on rank 0, a full disk, say, is raised on all ranks, and leaves no file."""
+    """Write a measurement, in memory without a path; collective.
+
+    What fails on rank 0, a full disk, say, is raised on all ranks, and leaves no file.
+    """
     team = measurement.team
     with ExitStack() as stack:
-        writer = team.build_on_root(
-            lambda: stack.enter_context(ResultWriter(destination.path, flip_y=destination.flip_y, files=files)))
+        writer = team.build_on_root(lambda: stack.enter_context(ResultWriter(path, flip_y=flip_y, files=files)))
         measurement.write(writer)
 
         def finish() -> T:
             opened = require_held(writer)
-            if destination.times is not None:
-                _write_times(opened, destination.times)
-            if not math.isnan(destination.noise_floor):
-                opened.write_attributes(schema.CASE, {schema.NOISE_FLOOR: destination.noise_floor})
             opened.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))
             return take(opened)
 
@@ -187,12 +211,3 @@ def _write(measurement: Publishable, destination: Destination, take: Callable[[R
         # Closing writes as well: what is left in HDF5's cache, then the file's name.
         team.build_on_root(stack.pop_all().close)
         return result
-
-
-def _write_times(writer: ResultWriter, times: PhaseTimes) -> None:
-    writer.write_table(schema.PHASES, {
-        "phase": [str(phase) for phase in times.seconds],
-        "seconds": list(times.seconds.values()),
-        "cpu_seconds": list(times.cpu_seconds.values()),
-        "imbalance": list(times.imbalance.values()),
-    })

@@ -17,7 +17,6 @@ from ddic.arrays import Array
 from ddic.functionals.correlation import Residual, RowBand
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
-from ddic.inputs.cameras import Camera
 from ddic.io.hdf5_file import ChunkGrid, pack_chunk
 from ddic.io.result_writer import ResultWriter
 from ddic.parallel.distribution import stream_to_root
@@ -180,16 +179,25 @@ def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
 
 def write_residual_images(measurement: Measurement, writer: ResultWriter | None) -> None:
     """Write the residual image of each camera; collective: every rank compresses its chunks, rank 0 stores them."""
+    views, residuals = measurement.whole.views, measurement.evaluation.residuals
     for camera in measurement.cameras:
-        _write_residual_image(measurement, camera, writer)
+        image = camera.reference.image
+        grid = ChunkGrid(image.width, image.height)
+        # In bands of rows: images of whole subdomains are as large as reference images.
+        seen = [(view, q, residual, view.correlation.split_bands(grid.shape[0]))
+                for view, q, residual in zip(views.flat, views.fill(measurement.q).flat, residuals.flat, strict=True)
+                if view.camera == camera.number]
+        windows = [band.window for *_, bands in seen for band in bands]
+        write_patches(measurement.team, writer, grid, windows, _make_patches(measurement, seen))
 
 
-def _write_residual_image(measurement: Measurement, camera: Camera, writer: ResultWriter | None) -> None:
-    image = camera.reference.image
-    grid = ChunkGrid(image.width, image.height)
-    seen = _see_in_bands(measurement, camera.number, grid.shape[0])
-    windows = [band.window for of_view in seen for band in of_view.bands]
-    write_patches(measurement.team, writer, grid, windows, _make_patches(measurement, camera.number, seen))
+def _make_patches(measurement: Measurement,
+                  seen: list[tuple[FrameView, Array, Residual, list[RowBand]]]) -> Iterator[Patch]:
+    """The residual on each band, computed one by one; of views with their unknowns and residual sums."""
+    for view, q, residual, bands in seen:
+        correction = measurement.whole.find_correction(measurement.evaluation, view.camera, residual)
+        for band, image in zip(bands, view.compute_residual_bands(q, bands, *correction), strict=True):
+            yield Patch(band.window, image)
 
 
 def write_patches(team: Team, writer: ResultWriter | None, grid: ChunkGrid, windows: list[Window],
@@ -198,30 +206,3 @@ def write_patches(team: Team, writer: ResultWriter | None, grid: ChunkGrid, wind
     team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
     chunks = pack_chunks(team, grid, windows, patches)
     stream_chunks(team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number, chunk.data))
-
-
-@dataclass(frozen=True)
-class _SeenInBands:
-    """A view of a subdomain with unknowns q, its residual sums, and the bands of rows in which it is drawn."""
-
-    view: FrameView
-    q: Array
-    residual: Residual
-    bands: list[RowBand]
-
-
-def _see_in_bands(measurement: Measurement, camera: int, height: int) -> list[_SeenInBands]:
-    """A camera's views of owned subdomains, in bands: images of whole subdomains are as large as reference images."""
-    views, q, residuals = measurement.whole.views, measurement.q, measurement.evaluation.residuals
-    return [_SeenInBands(view, q_s, residual, view.correlation.split_bands(height))
-            for view, q_s, residual in zip(views.flat, views.fill(q).flat, residuals.flat, strict=True)
-            if view.camera == camera]
-
-
-def _make_patches(measurement: Measurement, camera: int, seen: list[_SeenInBands]) -> Iterator[Patch]:
-    """A camera's residual on each band, computed one by one."""
-    for of_view in seen:
-        correction = measurement.whole.find_correction(measurement.evaluation, camera, of_view.residual)
-        images = of_view.view.compute_residual_bands(of_view.q, of_view.bands, *correction)
-        for band, image in zip(of_view.bands, images, strict=True):
-            yield Patch(band.window, image)

@@ -7,9 +7,9 @@ import time
 import pytest
 from mpi4py import MPI
 
+from ddic.methods.run import gather_phase_times
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.results.publishing import gather_phase_times
 
 RANKS = [1, 3]
 WORK = 0.15
