@@ -97,7 +97,8 @@ def test_the_first_frame_that_tells_refines_the_line_for_those_after_it(whole: t
 
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("at", [2, 3])
-def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, whole: tuple[Path, SeriesSummary], at: int) -> None:
+def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, whole: tuple[Path, SeriesSummary],
+                                                         at: int) -> None:
     path, expected = whole
     parts = write_series(shared_path / "parts")
     interrupt(parts, at)
