@@ -264,9 +264,8 @@ def find_smallest_type(figure: Figure) -> float:
 
 def find_clipped_texts(figure: Figure) -> list[str]:
     """Find the texts that the edge of the page cuts: titles, labels, numbers at ticks and of legends."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    renderer = canvas.get_renderer()
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw_without_rendering()
     axes_of_ticks = [axis for axes in figure.findobj(Axes) for axis in (axes.xaxis, axes.yaxis) if axes.axison]
     # Numbers of ticks beyond the limits are made but not drawn: an axis knows which ones are.
     of_ticks = {id(label) for axis in axes_of_ticks for label in axis.get_ticklabels(which="both")}

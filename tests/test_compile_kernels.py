@@ -79,14 +79,14 @@ def test_runs_of_other_cases_compile_nothing_more(tmp_path: Path) -> None:
     assert "not kept: []" in job.out
 
 
-@pytest.mark.parametrize("ranks", [0, 2])
-def test_a_start_after_set_up_takes_all_kernels_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                                               ranks: int) -> None:
+def test_a_start_after_set_up_takes_all_kernels_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     job = finished([sys.executable, "-m", "ddic.compile_kernels"])
     assert job.code == 0, job.err
     assert "kernels compiled in" in job.out
     monkeypatch.setitem(os.environ, "NUMBA_DEBUG_CACHE", "1")
-    job = ddic("run", _cases(tmp_path)[0], ranks=ranks)
-    assert job.code == 0, job.err
-    assert "data loaded from" in job.out
-    assert "data saved to" not in job.out
+    case = _cases(tmp_path)[0]
+    for ranks in (0, 2):
+        job = ddic("run", case, ranks=ranks)
+        assert job.code == 0, job.err
+        assert "data loaded from" in job.out
+        assert "data saved to" not in job.out

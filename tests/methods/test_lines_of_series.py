@@ -59,14 +59,21 @@ def run(path: Path, *, resume: bool = False) -> SeriesSummary:
     return summary
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SeriesSummary]:
+    """The case file of a series that was measured without a break, and what it says of itself; collective."""
+    root = MPI.COMM_WORLD.rank == 0
+    path = write_series(MPI.COMM_WORLD.bcast(tmp_path_factory.mktemp("lines") / "whole" if root else None))
+    return path, run(path)
+
+
 def line_of(result: ddic.Result) -> NDArray[np.float64]:
     return np.array(json.loads(result.attributes["case"]["json"])["discontinuity"][0]["vertices"])
 
 
 @pytest.mark.parallel([1, 2])
-def test_the_first_frame_that_tells_refines_the_line_for_those_after_it(shared_path: Path) -> None:
-    path = write_series(shared_path / "whole")
-    summary = run(path)
+def test_the_first_frame_that_tells_refines_the_line_for_those_after_it(whole: tuple[Path, SeriesSummary]) -> None:
+    path, summary = whole
     assert [bool(frame.lines) for frame in summary.frames] == [False, True, True, True]
     assert [frame.started_from for frame in summary.frames] == ["a search", "a search", "the last frame",
                                                                 "the last two frames"]
@@ -90,11 +97,12 @@ def test_the_first_frame_that_tells_refines_the_line_for_those_after_it(shared_p
 
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("at", [2, 3])
-def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, at: int) -> None:
-    whole, parts = (write_series(shared_path / name) for name in ("whole", "parts"))
-    expected = run(whole)
+def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, whole: tuple[Path, SeriesSummary],
+                                                         at: int) -> None:
+    path, expected = whole
+    parts = write_series(shared_path / "parts")
     interrupt(parts, at)
     resumed = run(parts, resume=True)
     assert resumed.n_resumed == at - 1
     assert [frame.lines for frame in resumed.frames] == [frame.lines for frame in expected.frames]
-    assert_equal_results(whole.parent / "result.vtkhdf", parts.parent / "result.vtkhdf")
+    assert_equal_results(path.parent / "result.vtkhdf", parts.parent / "result.vtkhdf")

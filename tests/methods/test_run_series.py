@@ -29,6 +29,7 @@ N_FRAMES = 4
 SOLVER = '[solver]\nmethod = "dual"\nsubdomains = 4\ntolerance = 1e-12\ninexact = false\n'
 TIGHT = SOLVER + "[gauss_newton]\ntolerance = 1e-13\nrms_tolerance = 1e-9\n"
 SMOOTH = TIGHT + "[regularization]\ncut_off_wavelength = 48\n"
+INTERVAL = "frame_interval = 0.5"
 SERIES = [f'"g_{number}.tif"' for number in range(1, N_FRAMES + 1)]
 
 
@@ -72,26 +73,34 @@ def run(path: Path, *, resume: bool = False) -> SeriesSummary:
     return summary
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The case file of a series that was measured without a break, an image each half a second; collective."""
+    root = MPI.COMM_WORLD.rank == 0
+    folder = MPI.COMM_WORLD.bcast(tmp_path_factory.mktemp("whole") if root else None)
+    path = write_frames(folder / "series", images=INTERVAL)
+    summary = run(path)
+    assert [frame.number for frame in summary.frames] == [1, 2, 3, 4]
+    assert [frame.started_from for frame in summary.frames] == ["a search", "the last frame", "the last two frames",
+                                                                "the last two frames"]
+    return path
+
+
 def displacement(series: SeriesResult, step: int) -> NDArray[np.float64]:
     return series[step].displacement
 
 
 @pytest.mark.parallel(RANKS)
-def test_frames_are_those_of_pairs(shared_path: Path) -> None:
+def test_frames_are_those_of_pairs(shared_path: Path, whole: Path) -> None:
     team = Team.world()
-    path = write_frames(shared_path / "series", images="frame_interval = 0.5")
-    summary = run(path)
-    assert [frame.number for frame in summary.frames] == [1, 2, 3, 4]
-    assert [frame.started_from for frame in summary.frames] == ["a search", "the last frame", "the last two frames",
-                                                                "the last two frames"]
-    series = read_series(path.parent / "result.vtkhdf")
+    series = read_series(whole.parent / "result.vtkhdf")
     np.testing.assert_array_equal(series.times, [0.5, 1.0, 1.5, 2.0])
     for number in range(1, N_FRAMES + 1):
         alone = shared_path / f"pair_{number}"
         if team.is_root:
             alone.mkdir(exist_ok=True)
             for name in ("f.tif", f"g_{number}.tif"):
-                (alone / name).write_bytes((path.parent / name).read_bytes())
+                (alone / name).write_bytes((whole.parent / name).read_bytes())
             write_case(alone, TIGHT, deformed=f"g_{number}.tif")
         team.comm.barrier()
         run_case(team, alone / "case.toml", Silence())
@@ -103,14 +112,13 @@ def test_frames_are_those_of_pairs(shared_path: Path) -> None:
             np.testing.assert_allclose(series[number - 1].fields[name], expected.fields[name], atol=1e-8)
         assert series[number - 1].attributes["provenance"]["deformed_path"].endswith(f"g_{number}.tif")
         assert series[number - 1].attributes["time"]["deformed"] == 0.5 * number
-    assert sorted(entry.name for entry in path.parent.iterdir() if entry.suffix not in (".tif", ".toml")) == [
+    assert sorted(entry.name for entry in whole.parent.iterdir() if entry.suffix not in (".tif", ".toml")) == [
         "result.json", "result.vtkhdf"]
 
 
 @pytest.mark.parallel(RANKS)
-def test_a_signal_ends_it_after_the_frame_at_hand(shared_path: Path) -> None:
-    whole, parts = (write_frames(shared_path / name) for name in ("whole", "parts"))
-    run(whole)
+def test_a_signal_ends_it_after_the_frame_at_hand(shared_path: Path, whole: Path) -> None:
+    parts = write_frames(shared_path / "parts", images=INTERVAL)
     team = Team.world()
     with pytest.raises(StoppedError, match=r"after 2 of 4 frames, of which 2 are in .*--resume measures the rest"):
         run_file(team, parts, AsksAt(team, 2))
@@ -126,11 +134,8 @@ def test_a_signal_ends_it_after_the_frame_at_hand(shared_path: Path) -> None:
         np.testing.assert_array_equal(displacement(resumed, step), displacement(expected, step))
 
 
-@pytest.mark.parallel(RANKS)
-@pytest.mark.parametrize("more", [TIGHT, SMOOTH], ids=["plain", "smooth"])
-def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, more: str) -> None:
-    whole, parts = (write_frames(shared_path / name, more) for name in ("whole", "parts"))
-    run(whole)
+def check_resumed(whole: Path, parts: Path) -> None:
+    """A series that ends in its third frame, and is resumed, equals one that was measured without a break."""
     interrupt(parts, 3)
     assert sorted(path.name for path in (parts.parent / "result.frames").iterdir()) == [
         "000001.vtkhdf", "000002.vtkhdf", "series.json"]
@@ -139,6 +144,18 @@ def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, more
     assert summary.n_resumed == 2
     assert [frame.started_from for frame in summary.frames][2:] == ["the last two frames"] * 2
     assert_equal_results(whole.parent / "result.vtkhdf", parts.parent / "result.vtkhdf")
+
+
+@pytest.mark.parallel(RANKS)
+def test_what_is_resumed_equals_what_was_not_interrupted(shared_path: Path, whole: Path) -> None:
+    check_resumed(whole, write_frames(shared_path / "parts", images=INTERVAL))
+
+
+@pytest.mark.parallel(RANKS)
+def test_what_is_resumed_with_regularization_equals_what_was_not_interrupted(shared_path: Path) -> None:
+    smooth, parts = (write_frames(shared_path / name, SMOOTH) for name in ("whole", "parts"))
+    run(smooth)
+    check_resumed(smooth, parts)
 
 
 @pytest.mark.parallel([1, 3])

@@ -220,7 +220,7 @@ def test_nothing_of_petsc_is_left_by_frames(shared_path: Path, method: str) -> N
     before = count_live_objects(team, shared_path)
     with session_of(team, inputs) as session:
         counts = []
-        for number in range(20):
+        for number in range(12):
             session.measure(frames[number % 3])
             if number % 3 == 2:
                 counts.append(count_live_objects(team, shared_path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -37,6 +38,7 @@ def field(number: float) -> Sinusoidal:
     return Sinusoidal((6.0 * number, -2.0 * number), (0.5 * number, 0.4 * number), (256.0, 320.0), (320.0, 256.0))
 
 
+@cache
 def render(number: int, seed: int) -> NDArray[np.float64]:
     pair = render_pair(Scene(SpeckleTexture(seed), field(number)), Picture(192, 192, Digitiser(8)))
     return (pair.deformed if number else pair.reference).astype(np.float64)

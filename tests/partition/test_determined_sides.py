@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -25,6 +25,8 @@ def weigh(cut: CutMesh) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("opening", ["both", "tangential"])
+# As many of each opening as make a hundred.
+@settings(max_examples=50)
 @given(angle=st.floats(1, 179), n_subdomains=st.integers(2, 12))
 def test_unknowns_have_pixels_in_all_of_their_subdomains(opening: Opening, angle: float, n_subdomains: int) -> None:
     direction = np.array([np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))])

@@ -88,6 +88,13 @@ def write(folder: Path, *arguments: str) -> str:
     return page.read_text(encoding="utf-8")
 
 
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Path:
+    """The report of the plate, beside its result."""
+    write(folder)
+    return folder / "page.html"
+
+
 def test_what_is_stated(folder: Path) -> None:
     stated = state(folder / "result.vtkhdf")
     assert stated["Camera"] == "a camera of 12 bits"
@@ -153,16 +160,16 @@ def test_the_guide_is_compared_with_what_is_stated(folder: Path) -> None:
     assert set(named) - set(state(folder / "result.vtkhdf")) == set()
 
 
-def test_page_holds_all_and_asks_for_nothing(folder: Path) -> None:
-    page = write(folder)
-    assert unescape(CASE) in unescape(page)
-    assert "<title>a &lt;strip&gt; &amp; its hole" in page
-    assert page.count("<img ") == 11
-    assert "<script" not in page
-    targets = re.findall(r'(?:src|href)="([^"]*)"', page)
+def test_page_holds_all_and_asks_for_nothing(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert unescape(CASE) in unescape(text)
+    assert "<title>a &lt;strip&gt; &amp; its hole" in text
+    assert text.count("<img ") == 11
+    assert "<script" not in text
+    targets = re.findall(r'(?:src|href)="([^"]*)"', text)
     assert all(target.startswith("data:") for target in targets)
-    assert "url(" not in page
-    assert "@import" not in page
+    assert "url(" not in text
+    assert "@import" not in text
 
 
 def test_missing_images_and_summary_are_said(folder: Path, tmp_path: Path) -> None:
@@ -248,11 +255,10 @@ def test_no_text_on_a_picture_is_cut_or_too_small(folder: Path) -> None:
 
 
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium is installed")
-def test_a_browser_shows_every_picture_and_asks_for_nothing(folder: Path, tmp_path: Path) -> None:
-    write(folder)
+def test_a_browser_shows_every_picture_and_asks_for_nothing(page: Path, tmp_path: Path) -> None:
     browser = find_browser()
     assert browser is not None
-    shown = show_page(browser, folder / "page.html", tmp_path / "page.png")
+    shown = show_page(browser, page, tmp_path / "page.png")
     assert len(shown.pictures) == 11
     for picture in shown.pictures:
         # Made smaller by a browser or by Lanczos: alike to some per cent.
