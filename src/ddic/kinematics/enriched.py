@@ -272,6 +272,5 @@ def _group_parts(cut: CutMesh) -> list[list[IntArray]]:
     groups: dict[int, list[IntArray]] = {}
     cells = np.zeros(0, np.int64) if cut.mesh.parts is None else cut.mesh.parts.cells
     for number in cells:
-        nodes = cut.mesh.cells[number]
-        groups.setdefault(int(cut.cell_of[number]), []).append(nodes[nodes >= 0])
+        groups.setdefault(int(cut.cell_of[number]), []).append(cut.mesh.get_cell(number))
     return list(groups.values())

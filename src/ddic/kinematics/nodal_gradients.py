@@ -11,7 +11,7 @@ cell across a discontinuity is asked: its nodes are others. All comes of sums ov
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -174,8 +174,7 @@ def _without_unmeasured_cells(mesh: Mesh, u: Array) -> Mesh:
     is_measured = np.isfinite(u.reshape(mesh.nodes.shape)).all(axis=1)
     if is_measured.all():
         return mesh
-    part, node_ids = mesh.create_submesh(mesh.find_cells_among(is_measured))
-    return replace(part, nodes=mesh.nodes, connectivity=node_ids[part.connectivity], node_sets=mesh.node_sets)
+    return mesh.keep_cells(mesh.find_cells_among(is_measured))
 
 
 @dataclass(frozen=True, eq=False)

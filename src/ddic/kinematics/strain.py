@@ -13,7 +13,7 @@ from ddic.arrays import Array, IntArray
 from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh, invert_matrices, pad_cells
 from ddic.mesh.plane import build_rotation, multiply_across
-from ddic.mesh.topology import list_corners
+from ddic.mesh.quality import list_corner_edges
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
     Below 1 / that, no factor on the displacement, (n_nodes, 2), of the nodes' unit, turns a corner inside out. Cells
     are plane.
     """
-    one, other = _list_edges(mesh, mesh.nodes)
-    to_one, to_other = _list_edges(mesh, displacement)
+    one, other = list_corner_edges(mesh, mesh.nodes)
+    to_one, to_other = list_corner_edges(mesh, displacement)
     edges = np.stack([one, other], axis=2)
     gradients = np.stack([to_one, to_other], axis=2) @ np.linalg.inv(edges)
     return float(np.linalg.norm(gradients, ord=2, axis=(1, 2)).max())
@@ -161,12 +161,5 @@ def count_folded_cells(mesh: Mesh, moved: Array) -> int:
 
     ``moved`` says where the nodes are, (n_nodes, 2); the mesh's cells are plane and run positively.
     """
-    folded = multiply_across(*_list_edges(mesh, moved)) <= 0
+    folded = multiply_across(*list_corner_edges(mesh, moved)) <= 0
     return int(np.logical_or.reduceat(folded, mesh.offsets[:-1]).sum())
-
-
-def _list_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
-    """Differences of nodal values from each corner of each cell to the next one and to the one before, (n, 2) each."""
-    corners = list_corners(mesh)
-    at_corners = values[corners.nodes]
-    return values[corners.ahead] - at_corners, values[corners.behind] - at_corners

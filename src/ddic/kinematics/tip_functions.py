@@ -12,11 +12,10 @@ from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.kinematics.enriched import EnrichedRegion
-from ddic.mesh.cell_parts import CellParts
 from ddic.mesh.cut_cells import subdivide_cells
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import evaluate_shapes_at, locate
-from ddic.mesh.mesh import Mesh, pad_cells
+from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
 from ddic.mesh.quality import measure_cell_size
 
 LONGEST = 2.0
@@ -101,10 +100,8 @@ def _find_ends_inside(mesh: Mesh, line: Array, number: int) -> list[Tip]:
         cell = int(locate(mesh, end[None]).cells[0])
         if cell < 0:
             continue
-        nodes = mesh.cells[cell]
-        nodes = nodes[nodes >= 0]
-        touches = np.isin(mesh.connectivity, nodes)
-        cells = np.flatnonzero(np.logical_or.reduceat(touches, mesh.offsets[:-1])).astype(np.int64)
+        nodes = mesh.get_cell(cell)
+        cells = mesh.find_cells_around(np.isin(np.arange(mesh.n_nodes), nodes))
         ahead = (end - before) / np.linalg.norm(end - before)
         tips.append(Tip(end, ahead, nodes, cells, number, vertex))
     return tips
@@ -155,7 +152,7 @@ def enrich_at_tips(cut: CutMesh, region: EnrichedRegion, patch: TipPatch) -> tup
 
     kept = np.flatnonzero(~np.isin(cut.cell_of, patch.cell_of)).astype(np.int64)
     nodes_of_tips = np.concatenate([np.repeat(tip.nodes, N_FUNCTIONS * dim) for tip in patch.tips])
-    enriched = EnrichedRegion(_join_meshes(cut.mesh, kept, small.mesh), matrix,
+    enriched = EnrichedRegion(join_meshes([cut.mesh.keep_cells(kept), small.mesh]), matrix,
                               np.concatenate([region.node_of_unknown, nodes_of_tips]),
                               np.concatenate([region.seen_at, nodes_of_tips]))
     return enriched, np.concatenate([cut.cell_of[kept], patch.cell_of[small.cell_of]])
@@ -184,28 +181,3 @@ def _evaluate_products(mesh: Mesh, tip: Tip, shapes: sparse.csr_matrix, points: 
         shifted = at_points - scale * evaluate_tip_functions(tip, at_node, at_node)
         products.append(shapes[:, [int(node)]].multiply(shifted))
     return sparse.hstack(products).tocsr()
-
-
-def _join_meshes(mesh: Mesh, kept: IntArray, patch: Mesh) -> Mesh:
-    """Some cells of a cut mesh, with the numbers of all its nodes, and then those of a patch."""
-    counts = np.diff(mesh.offsets)[kept]
-    of_kept = mesh.cells[kept]
-    connectivity = np.concatenate([of_kept[of_kept >= 0], mesh.n_nodes + patch.connectivity])
-    offsets = np.concatenate([[0], np.cumsum(np.concatenate([counts, np.diff(patch.offsets)]))]).astype(np.int64)
-    return Mesh(np.concatenate([mesh.nodes, patch.nodes]), connectivity, offsets,
-                np.concatenate([mesh.types[kept], patch.types]), mesh.node_sets, mesh.mapping,
-                _join_parts(mesh, kept, patch))
-
-
-def _join_parts(mesh: Mesh, kept: IntArray, patch: Mesh) -> CellParts:
-    """Parts of the kept cells, then those of the patch."""
-    if mesh.parts is None:
-        raise ValueError("no line cuts the mesh")
-    ours, theirs = mesh.parts.restrict(kept), patch.parts
-    if theirs is None:
-        return ours
-    return CellParts(np.concatenate([ours.cells, len(kept) + theirs.cells]),
-                     np.concatenate([ours.offsets, ours.offsets[-1] + theirs.offsets[1:]]),
-                     np.concatenate([ours.corners, theirs.corners]),
-                     np.concatenate([ours.first_numbers, len(mesh.parts.corners) + theirs.first_numbers]),
-                     ours.lines)

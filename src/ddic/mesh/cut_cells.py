@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from ddic.arrays import Array, IntArray
-from ddic.mesh.cell_type import T3, CellType
+from ddic.mesh.cell_type import CELL_TYPES, T3, CellType
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.plane import multiply_across
 
@@ -20,9 +20,6 @@ INNER = -1
 
 SHORTEST = 1e-9
 """Length, pixels, below which a chord in a polygon cuts nothing off."""
-
-Point = Array
-
 
 @dataclass(frozen=True, eq=False)
 class CellPolygon:
@@ -42,23 +39,17 @@ class CellPolygon:
     nodes: tuple[int, ...]
     sides: tuple[int, ...]
 
-    @classmethod
-    def of_cell(cls, corners: Array) -> CellPolygon:
-        """Take a whole cell, whose side k runs from node k to the next one; corners are in positive order, pixels."""
-        numbers = tuple(range(len(corners)))
-        return cls(corners, numbers, numbers)
-
-    def cut(self, chord: Chord) -> tuple[CellPolygon, ...]:
-        """Cut the polygon straight along a chord of its cell, whatever the chord's bends.
+    def cut(self, chord: Array) -> tuple[CellPolygon, ...]:
+        """Cut the polygon straight from end to end of a chord of its cell, whatever its bends.
 
         Gives the part to the right and the part to the left of the chord; the polygon itself where the chord misses it.
         """
-        along = chord.end - chord.start
+        along = chord[-1] - chord[0]
         length = float(np.linalg.norm(along))
         if length <= SHORTEST:
             # A line that turns back where it enters.
             return (self,)
-        heights = multiply_across(along / length, self.corners - chord.start)
+        heights = multiply_across(along / length, self.corners - chord[0])
         if heights.max() <= SHORTEST or heights.min() >= -SHORTEST:
             return (self,)
         return self._keep(-heights), self._keep(heights)
@@ -66,9 +57,9 @@ class CellPolygon:
     def _keep(self, heights: Array) -> CellPolygon:
         """The part where heights, of the corners above a line, are positive."""
         corners, nodes, sides = [], [], []
-        for k in range(len(heights)):
+        for k, here in enumerate(heights):
             following = (k + 1) % len(heights)
-            here, there = heights[k], heights[following]
+            there = heights[following]
             if here > 0:
                 corners.append(self.corners[k])
                 nodes.append(self.nodes[k])
@@ -79,55 +70,35 @@ class CellPolygon:
                 share = heights[low] / (heights[low] - heights[high])
                 corners.append(self.corners[low] + share * (self.corners[high] - self.corners[low]))
                 nodes.append(INNER)
-                leaves = here > 0
-                sides.append(INNER if leaves else self.sides[k])
+                # Where the outline leaves the part, its next edge runs along the chord.
+                sides.append(INNER if here > 0 else self.sides[k])
         return CellPolygon(np.array(corners), tuple(nodes), tuple(sides))
 
 
-@dataclass(frozen=True, eq=False)
-class Chord:
-    """Where a polyline crosses a cell from side to side.
-
-    Attributes
-    ----------
-    start, end : (2,) array
-        Ends, on the outline of the cell, pixels.
-    bends : (n, 2) array
-        Vertices of the polyline between them, pixels.
-    """
-
-    start: Point
-    end: Point
-    bends: Array
-
-
-def find_chords(corners: Array, line: Array) -> list[Chord]:
+def find_chords(corners: Array, line: Array) -> list[Array]:
     """Find where a polyline crosses a convex cell from side to side; an end inside the cell cuts nothing.
 
-    Chords follow along the line. The cell's corners are in positive order, and no vertex of the line lies on its
-    outline; both are pixels.
+    Gives the pieces of the line in the cell, (n, 2) each, one after the other: their ends lie on its outline. The
+    cell's corners are in positive order, and no vertex of the line lies on its outline; both are pixels.
     """
     chords = []
-    is_inside = _is_inside(corners, line[0])
-    entry: Point | None = None
-    bends: list[Point] = []
+    edges = np.roll(corners, -1, axis=0) - corners
+    is_inside = bool((multiply_across(edges, line[0] - corners) > 0).all())
+    # Empty until the line has entered the cell.
+    piece: list[Array] = []
     for start, end in pairwise(line):
         for _, point in sorted(_cross_outline(corners, start, end), key=lambda crossing: crossing[0]):
             is_inside = not is_inside
             if is_inside:
-                entry, bends = point, []
-            elif entry is not None:
-                chords.append(Chord(entry, point, np.array(bends).reshape(-1, 2)))
-        bends.append(end)
+                piece = [point]
+            elif piece:
+                chords.append(np.array([*piece, point]))
+        if piece:
+            piece.append(end)
     return chords
 
 
-def _is_inside(corners: Array, point: Point) -> bool:
-    edges = np.roll(corners, -1, axis=0) - corners
-    return bool((multiply_across(edges, point - corners) > 0).all())
-
-
-def _cross_outline(corners: Array, start: Point, end: Point) -> list[tuple[float, Point]]:
+def _cross_outline(corners: Array, start: Array, end: Array) -> list[tuple[float, Array]]:
     """Where a segment crosses the cell's sides: share of its length, and the point."""
     crossings = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -144,7 +115,6 @@ def _cross_outline(corners: Array, start: Point, end: Point) -> list[tuple[float
     return crossings
 
 
-
 def subdivide_cells(mesh: Mesh, cells: IntArray, longest: float) -> tuple[Mesh, IntArray]:
     """Cut whole T3 and Q4 cells into small ones; nodes on a side that two cells share are there twice.
 
@@ -156,8 +126,8 @@ def subdivide_cells(mesh: Mesh, cells: IntArray, longest: float) -> tuple[Mesh, 
     cell_of: list[IntArray] = []
     n_nodes = 0
     for cell in cells:
-        cell_type = next(block.type for block in mesh.cell_blocks if block.type.vtk == mesh.types[cell])
-        corners = mesh.nodes[mesh.cells[cell, :cell_type.n_nodes]]
+        cell_type = CELL_TYPES[int(mesh.types[cell])]
+        corners = mesh.nodes[mesh.get_cell(cell)]
         sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
         n = max(1, int(np.ceil(sides.max() / longest)))
         subdivide = _subdivide_triangle if cell_type is T3 else _subdivide_quadrilateral
