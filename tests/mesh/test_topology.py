@@ -19,7 +19,7 @@ from ddic.mesh.topology import (
     find_boundary_facets,
     find_boundary_nodes,
     find_facets,
-    find_named_facets,
+    find_named_nodes,
     find_not_controlled_nodes,
 )
 
@@ -53,17 +53,11 @@ def test_boundary_of_mixed_mesh() -> None:
     assert find_boundary_nodes(MIXED).tolist() == list(range(7))
 
 
-def test_named_facets_lie_on_the_boundary_only() -> None:
-    # Edge 2-3 has both nodes in the set, but two cells.
-    found = {tuple(sorted(nodes)) for nodes in find_named_facets(MIXED, "tip").tolist()}
-    assert found == {(2, 6), (3, 6)}
-
-
 def test_unknown_and_empty_sets_are_refused() -> None:
     with pytest.raises(InputError, match='did you mean "tip"'):
-        find_named_facets(MIXED, "tipp")
+        find_named_nodes(MIXED, "tipp")
     with pytest.raises(InputError, match="holds no node"):
-        find_named_facets(MIXED, "none")
+        find_named_nodes(MIXED, "none")
 
 
 def test_adjacency_of_mixed_mesh() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.plane import is_inside_edges, multiply_across
 
 NO_CORNERS = np.zeros((0, 2))
 
@@ -81,13 +81,13 @@ class PolygonalHole:
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the polygon, pixels, negative inside."""
         away = np.linalg.norm(self.find_nearest(points) - points, axis=1)
-        return np.where(self._inside(points), -away, away)
+        return np.where(is_inside_edges(points, self._edges), -away, away)
 
     def find_nearest(self, points: Array) -> Array:
         """Find the nearest point of the polygon."""
         best = np.array(points, dtype=np.float64)
         smallest = np.full(len(points), np.inf)
-        for start, end in self._edges():
+        for start, end in self._edges:
             edge = end - start
             # An edge of no length has its start as its nearest point.
             square = max(edge @ edge, np.finfo(float).tiny)
@@ -98,20 +98,11 @@ class PolygonalHole:
             best[closer], smallest[closer] = candidate[closer], away[closer]
         return best
 
-    def _inside(self, points: Array) -> BoolArray:
-        """Whether a ray to the right crosses the polygon an odd number of times, (n,)."""
-        x, y = points.T
-        inside = np.zeros(len(points), dtype=bool)
-        for (xa, ya), (xb, yb) in self._edges():
-            spans = (ya > y) != (yb > y)
-            height = yb - ya if yb != ya else 1.0
-            inside ^= spans & (x < xa + (y - ya) * (xb - xa) / height)
-        return inside
-
-    def _edges(self) -> list[tuple[Array, Array]]:
-        """Start and end of each edge, pixels."""
+    @property
+    def _edges(self) -> Array:
+        """Start and end of each edge, (n, 2, 2), pixels."""
         corners = np.asarray(self.vertices, dtype=np.float64)
-        return list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
+        return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
 STRAIGHT_PX = 0.8

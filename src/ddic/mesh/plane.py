@@ -37,7 +37,6 @@ def build_tree(points: Array) -> cKDTree:
     return cKDTree(points)
 
 
-
 def measure_distance(points: Array, line: Array) -> Array:
     """Measure the distance of points, (n, 2), from the nearest place on a polyline, (n_vertices, 2), pixels."""
     return find_nearest_segments(points, line)[1]
@@ -72,6 +71,26 @@ def find_runs(is_kept: BoolArray) -> list[slice]:
     changes = np.flatnonzero(np.diff(np.concatenate([[False], is_kept, [False]])))
     runs = [slice(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
     return [run for run in runs if run.stop - run.start > 1]
+
+
+PAIRS_AT_ONCE = 1 << 22
+"""Pairs of a point and an edge that are compared at once; a larger value takes more memory."""
+
+
+def is_inside_edges(points: Array, edges: Array) -> BoolArray:
+    """Tell which points, (n, 2), a ray to the right of which crosses an odd number of edges, (m, 2 ends, 2)."""
+    (x0, y0), (x1, y1) = edges[:, 0].T, edges[:, 1].T
+    height = np.where(y1 == y0, 1.0, y1 - y0)
+    inside = np.zeros(len(points), dtype=bool)
+    step = max(1, PAIRS_AT_ONCE // max(len(edges), 1))
+    for begin in range(0, len(points), step):
+        # Points down the rows, edges along the columns.
+        x, y = points[begin:begin + step].T[..., None]
+        # Half-open, so that a ray through a common end crosses one of two edges that go on, and none or both at a tip.
+        spans = (y0 > y) != (y1 > y)
+        crossing = x0 + (y - y0) * (x1 - x0) / height
+        inside[begin:begin + step] = (spans & (crossing > x)).sum(axis=1) % 2 == 1
+    return inside
 
 
 def is_inside_polygon(points: Array, polygon: Array) -> BoolArray:
