@@ -14,10 +14,10 @@ from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import (
-    _distinct_rows,
     find_adjacent_cells,
     find_boundary_facets,
     find_boundary_nodes,
+    find_distinct_rows,
     find_facets,
     find_named_nodes,
     find_not_controlled_nodes,
@@ -117,7 +117,7 @@ def test_facets_are_numbered_in_the_order_of_their_nodes(n_nodes: int, width: in
     rng = np.random.default_rng(width)
     rows = rng.integers(-1, n_nodes, (400, width))
     rows = np.concatenate([rows, rows[rng.permutation(400)[:150]]])
-    first, numbers = _distinct_rows(rows, n_nodes)
+    first, numbers = find_distinct_rows(rows, n_nodes)
     _, expected_first, expected_numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     np.testing.assert_array_equal(first, expected_first)
     np.testing.assert_array_equal(numbers, expected_numbers.reshape(-1))

@@ -62,9 +62,8 @@ def _see_line(line: Array, mesh: Mesh, mapping: CameraMapping) -> list[Array]:
 
 def _is_near(points: Array, mesh: Mesh) -> BoolArray:
     """Whether points lie in a mesh or not far beyond its edge."""
-    corners = mesh.nodes[mesh.connectivity]
-    sizes = np.maximum.reduceat(corners, mesh.offsets[:-1]) - np.minimum.reduceat(corners, mesh.offsets[:-1])
-    diameter = float(np.linalg.norm(sizes, axis=1).max())
+    low, high = mesh.whole_outlines.find_boxes()
+    diameter = float(np.linalg.norm(high - low, axis=1).max())
     distances, _ = build_tree(mesh.nodes).query(points)
     return np.asarray(distances <= REACH * diameter)
 
@@ -188,7 +187,10 @@ class CameraKinematics(Kinematics):
         """Displace the nodes in the image, phi(T(X + u)) - phi(X)."""
         nodes = self.field.mesh.nodes
         u = self.field.displacement(unknowns[:self.field.n_unknowns])
-        moved = self.setup.move(nodes + u.reshape(nodes.shape), self._own_motion(unknowns))
+        # Unknowns of another camera's motion may follow.
+        first = self.field.n_unknowns
+        motion = unknowns[first:first + self.setup.n_motion_unknowns]
+        moved = self.setup.move(nodes + u.reshape(nodes.shape), motion)
         return np.asarray(self.setup.mapping.to_image(moved) - self.mesh.nodes).ravel()
 
     def fit(self, displacement: Array) -> Array:
@@ -211,10 +213,6 @@ class CameraKinematics(Kinematics):
     def hold_still(self) -> CameraKinematics:
         """Give the same for a set-up that does not move between its pictures."""
         return place_before_camera(self.field, self.setup.hold_still())
-
-    def _own_motion(self, unknowns: Array) -> Array:
-        first = self.field.n_unknowns
-        return unknowns[first:first + self.setup.n_motion_unknowns]
 
 
 def place_before_camera(field: Kinematics, setup: CameraSetup,

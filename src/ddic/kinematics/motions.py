@@ -3,8 +3,6 @@
 Of neighbours of which some may be wrong too, by which a displacement is interpolated between points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Strains of the measured field, at cell centres.
 
-Tensors come from displacement gradients, and numbers from tensors, all in the plane. Also the rigid motion in a
-displacement, what is left without it, and how far that can be magnified.
+Tensors come from displacement gradients, in the plane or in space, and numbers from tensors of the plane. Also how far
+a displacement can be magnified.
 """
 
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from ddic.mesh.quality import list_corner_edges
 
 @dataclass(frozen=True)
 class Strain:
-    """Symmetric tensors of every cell, no unit: in the plane (exx, eyy, exy).
+    """Symmetric tensors of every cell, no unit, by the components of ``list_components``.
 
     Attributes
     ----------
-    infinitesimal : (n_cells, dim (dim + 1) / 2) array
+    infinitesimal : (n_cells, n_components) array
         (grad u + grad u^T) / 2.
-    green_lagrange : (n_cells, dim (dim + 1) / 2) array
+    green_lagrange : (n_cells, n_components) array
         That plus grad u^T grad u / 2.
     """
 
@@ -37,7 +37,7 @@ def compute_strain(mesh: Mesh, q: Array) -> Strain:
     gradient = compute_displacement_gradients(mesh, q)
     small = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     large = small + 0.5 * np.einsum("eki,ekj->eij", gradient, gradient)
-    return Strain(_independent_components(small), _independent_components(large))
+    return Strain(_pick_components(small), _pick_components(large))
 
 
 def find_inverted_cells(mesh: Mesh, q: Array) -> IntArray:
@@ -71,23 +71,37 @@ def compute_displacement_gradients(mesh: Mesh, q: Array) -> Array:
     return gradient
 
 
-def _independent_components(tensor: Array) -> Array:
-    """The diagonal of symmetric tensors (n, dim, dim), then what is above it."""
-    dim = tensor.shape[-1]
-    places = [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
-    return np.stack([tensor[:, i, j] for i, j in places], axis=1)
+def list_components(dim: int) -> list[tuple[int, int]]:
+    """List the components of a symmetric tensor, (i, j), in their order: the diagonal, then what is above it.
 
+    In the plane xx, yy, xy; in space xx, yy, zz, xy, xz, yz.
+    """
+    return [*((i, i) for i in range(dim)), *combinations(range(dim), 2)]
+
+
+def _pick_components(tensors: Array) -> Array:
+    """The components of symmetric tensors, from (n, dim, dim) to (n, n_components)."""
+    return np.stack([tensors[:, i, j] for i, j in list_components(tensors.shape[-1])], axis=1)
+
+
+def _build_tensors(components: Array) -> Array:
+    """Symmetric tensors with these components, from (n, n_components) to (n, dim, dim)."""
+    dim = {n * (n + 1) // 2: n for n in (1, 2, 3)}[components.shape[1]]
+    tensors = np.empty((len(components), dim, dim))
+    for values, (i, j) in zip(components.T, list_components(dim), strict=True):
+        tensors[:, i, j] = tensors[:, j, i] = values
+    return tensors
 
 
 def compute_infinitesimal(gradients: Array) -> Array:
-    """Compute (grad u + grad u^T) / 2 from du_c / dx_j, (n, 2, 2): xx, yy, xy, (n, 3)."""
+    """Compute (grad u + grad u^T) / 2 from du_c / dx_j, (n, dim, dim): its components, (n, n_components)."""
     return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)))
 
 
 def compute_green_lagrange(gradients: Array) -> Array:
     """Compute (grad u + grad u^T + grad u^T grad u) / 2, which no rotation changes.
 
-    From du_c / dx_j, (n, 2, 2): xx, yy, xy, (n, 3).
+    From du_c / dx_j, (n, dim, dim): its components, (n, n_components).
     """
     return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)
                                    + gradients.transpose(0, 2, 1) @ gradients))
@@ -96,10 +110,9 @@ def compute_green_lagrange(gradients: Array) -> Array:
 def compute_hencky(green_lagrange: Array) -> Array:
     """Compute ln U = ln(1 + 2 E) / 2, Hencky's logarithmic strain, in the axes of the reference image.
 
-    Both are xx, yy, xy, (n, 3); nan where a length would vanish.
+    Both are components, (n, n_components); nan where a length would vanish.
     """
-    tensors = green_lagrange[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
-    values, axes = np.linalg.eigh(tensors)
+    values, axes = np.linalg.eigh(_build_tensors(green_lagrange))
     # ln(1 + 2 E) by way of log1p: strains of 1e-6 keep their digits.
     with np.errstate(invalid="ignore", divide="ignore"):
         logarithms = 0.5 * np.log1p(2.0 * values)
@@ -122,10 +135,6 @@ def compute_von_mises_strain(tensors: Array) -> Array:
     """
     first, second = find_principal_strains(tensors).T
     return np.asarray(np.sqrt(4.0 / 3.0 * (first**2 + first * second + second**2)))
-
-
-def _pick_components(tensors: Array) -> Array:
-    return np.stack([tensors[:, 0, 0], tensors[:, 1, 1], tensors[:, 0, 1]], axis=1)
 
 
 def project_rigid_motion_out(points: Array, displacement: Array) -> Array:

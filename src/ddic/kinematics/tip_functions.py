@@ -12,10 +12,11 @@ from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.kinematics.enriched import EnrichedRegion
-from ddic.mesh.cut_cells import subdivide_cells
+from ddic.mesh.cell_type import CELL_TYPES, T3, CellType
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import evaluate_shapes_at, locate
-from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
+from ddic.mesh.mesh import Mesh, build_mesh, join_meshes, pad_cells
+from ddic.mesh.plane import turn_left
 from ddic.mesh.quality import measure_cell_size
 
 LONGEST = 2.0
@@ -125,7 +126,7 @@ def evaluate_tip_functions(tip: Tip, points: Array, on_own_side: Array) -> Array
 def _find_polar(tip: Tip, points: Array) -> tuple[Array, Array]:
     """Distance from the tip, and angle from the direction ahead."""
     x = (points - tip.position) @ tip.ahead
-    y = (points - tip.position) @ np.array([-tip.ahead[1], tip.ahead[0]])
+    y = (points - tip.position) @ turn_left(tip.ahead)
     return np.hypot(x, y), np.arctan2(y, x)
 
 
@@ -181,3 +182,67 @@ def _evaluate_products(mesh: Mesh, tip: Tip, shapes: sparse.csr_matrix, points: 
         shifted = at_points - scale * evaluate_tip_functions(tip, at_node, at_node)
         products.append(shapes[:, [int(node)]].multiply(shifted))
     return sparse.hstack(products).tocsr()
+
+
+def subdivide_cells(mesh: Mesh, cells: IntArray, longest: float) -> tuple[Mesh, IntArray]:
+    """Cut whole T3 and Q4 cells into small ones; nodes on a side that two cells share are there twice.
+
+    No side of a small cell is longer than ``longest`` pixels where cells are parallelograms. Gives the mesh of the
+    small cells, and the cell that each of them lies in.
+    """
+    blocks: list[tuple[CellType, IntArray]] = []
+    nodes: list[Array] = []
+    cell_of: list[IntArray] = []
+    n_nodes = 0
+    for cell in cells:
+        cell_type = CELL_TYPES[int(mesh.types[cell])]
+        corners = mesh.nodes[mesh.get_cell(cell)]
+        sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        n = max(1, int(np.ceil(sides.max() / longest)))
+        subdivide = _subdivide_triangle if cell_type is T3 else _subdivide_quadrilateral
+        points, small = subdivide(corners, n)
+        blocks.append((cell_type, small + n_nodes))
+        nodes.append(points)
+        cell_of.append(np.full(len(small), cell, dtype=np.int64))
+        n_nodes += len(points)
+    return build_mesh(np.concatenate(nodes), blocks), np.concatenate(cell_of)
+
+
+def _subdivide_quadrilateral(corners: Array, n: int) -> tuple[Array, IntArray]:
+    """Nodes ((n + 1)^2, 2) and cells (n^2, 4) of a grid in a quadrilateral, of n cells a side."""
+    shares = np.arange(n + 1) / n
+    below = _divide(corners[0], corners[1], shares)
+    above = _divide(corners[3], corners[2], shares)
+    rows = _divide(below, above, shares)
+    numbers = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    cells = np.stack([numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, 1:], numbers[1:, :-1]], axis=-1)
+    return rows.reshape(-1, 2), cells.reshape(-1, 4)
+
+
+def _subdivide_triangle(corners: Array, n: int) -> tuple[Array, IntArray]:
+    """Nodes and cells (n^2, 3) of a grid in a triangle, of n cells a side."""
+    left = _divide(corners[0], corners[2], np.arange(n + 1) / n)
+    right = _divide(corners[1], corners[2], np.arange(n + 1) / n)
+    # One cell fewer in each row; the last is the triangle's third corner alone.
+    n_of_rows = range(n, -1, -1)
+    rows = [_divide(left[k], right[k], np.arange(n_of_row + 1) / max(n_of_row, 1))
+            for k, n_of_row in enumerate(n_of_rows)]
+    first = np.cumsum([0, *(len(row) for row in rows)])
+    cells = []
+    for k in range(n):
+        here, beyond = first[k], first[k + 1]
+        for i in range(n_of_rows[k]):
+            cells.append([here + i, here + i + 1, beyond + i])
+            if i + 1 < n_of_rows[k]:
+                # Between two of those, the other way up.
+                cells.append([here + i + 1, beyond + i + 1, beyond + i])
+    return np.concatenate(rows), np.array(cells, dtype=np.int64)
+
+
+def _divide(start: Array, end: Array, shares: Array) -> Array:
+    """Points at shares of the way from start to end, one after the other: (n_shares, *start.shape).
+
+    They lie exactly on a way along an axis and at its ends: a pixel there would else count twice, or not at all.
+    """
+    along = np.expand_dims(shares, tuple(range(1, start.ndim + 1)))
+    return np.asarray(np.where(along == 1.0, end, start + along * (end - start)))

@@ -11,21 +11,116 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ddic.arrays import Array, IntArray
 from ddic.mesh.cell_parts import CellParts, Lines, find_offsets
-from ddic.mesh.cut_cells import CellPolygon, find_chords
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import measure_distance
+from ddic.mesh.plane import measure_distance, multiply_across, turn_left
 from ddic.mesh.topology import find_facets
 
-if TYPE_CHECKING:
-    from scipy.cluster.hierarchy import DisjointSet
+INNER = -1
+"""In place of a side or a node of the cell: an edge along a chord, a corner where a chord ends."""
 
-SHORTEST = 1e-9
+SHORTEST_CHORD = 1e-9
+"""Length, pixels, below which a chord in a polygon cuts nothing off."""
+
+@dataclass(frozen=True, eq=False)
+class CellPolygon:
+    """A convex polygon that is a cell, or a part of one.
+
+    Attributes
+    ----------
+    corners : (n, 2) array
+        In positive order, pixels.
+    nodes : tuple of int
+        Place in the cell of the node at each corner, INNER where there is none.
+    sides : tuple of int
+        Side of the cell on which the edge from each corner to the next lies, INNER where it is along a chord.
+    """
+
+    corners: Array
+    nodes: tuple[int, ...]
+    sides: tuple[int, ...]
+
+    def cut(self, chord: Array) -> tuple[CellPolygon, ...]:
+        """Cut the polygon straight from end to end of a chord of its cell, whatever its bends.
+
+        Gives the part to the right and the part to the left of the chord; the polygon itself where the chord misses it.
+        """
+        along = chord[-1] - chord[0]
+        length = float(np.linalg.norm(along))
+        if length <= SHORTEST_CHORD:
+            # A line that turns back where it enters.
+            return (self,)
+        heights = multiply_across(along / length, self.corners - chord[0])
+        if heights.max() <= SHORTEST_CHORD or heights.min() >= -SHORTEST_CHORD:
+            return (self,)
+        return self._keep(-heights), self._keep(heights)
+
+    def _keep(self, heights: Array) -> CellPolygon:
+        """The part where heights, of the corners above a line, are positive."""
+        corners, nodes, sides = [], [], []
+        for k, here in enumerate(heights):
+            following = (k + 1) % len(heights)
+            there = heights[following]
+            if here > 0:
+                corners.append(self.corners[k])
+                nodes.append(self.nodes[k])
+                sides.append(self.sides[k])
+            if (here > 0) != (there > 0):
+                # In the same order from either side, hence the same number for both parts and for the next cell.
+                low, high = sorted((k, following), key=lambda n: tuple(self.corners[n]))
+                share = heights[low] / (heights[low] - heights[high])
+                corners.append(self.corners[low] + share * (self.corners[high] - self.corners[low]))
+                nodes.append(INNER)
+                # Where the outline leaves the part, its next edge runs along the chord.
+                sides.append(INNER if here > 0 else self.sides[k])
+        return CellPolygon(np.array(corners), tuple(nodes), tuple(sides))
+
+
+def find_chords(corners: Array, line: Array) -> list[Array]:
+    """Find where a polyline crosses a convex cell from side to side; an end inside the cell cuts nothing.
+
+    Gives the pieces of the line in the cell, (n, 2) each, one after the other: their ends lie on its outline. The
+    cell's corners are in positive order, and no vertex of the line lies on its outline; both are pixels.
+    """
+    chords = []
+    edges = np.roll(corners, -1, axis=0) - corners
+    is_inside = bool((multiply_across(edges, line[0] - corners) > 0).all())
+    # Empty until the line has entered the cell.
+    piece: list[Array] = []
+    for start, end in pairwise(line):
+        for _, point in sorted(_cross_outline(corners, start, end), key=lambda crossing: crossing[0]):
+            is_inside = not is_inside
+            if is_inside:
+                piece = [point]
+            elif piece:
+                chords.append(np.array([*piece, point]))
+        if piece:
+            piece.append(end)
+    return chords
+
+
+def _cross_outline(corners: Array, start: Array, end: Array) -> list[tuple[float, Array]]:
+    """Where a segment crosses the cell's sides: share of its length, and the point."""
+    crossings = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        # In the same order from either cell, so that both find the same point.
+        low, high = sorted((a, b), key=tuple)
+        of_low = float(multiply_across(end - start, low - start))
+        of_high = float(multiply_across(end - start, high - start))
+        if (of_low > 0) == (of_high > 0):
+            continue
+        point = low + of_low / (of_low - of_high) * (high - low)
+        along = float((point - start) @ (end - start) / ((end - start) @ (end - start)))
+        if 0 <= along < 1:
+            crossings.append((along, point))
+    return crossings
+
+
+SHORTEST_TOUCH = 1e-9
 """Share of a side by which two parts must touch to hang together."""
 
 Parts = Mapping[int, Sequence[CellPolygon]]
@@ -58,8 +153,8 @@ def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
     return numbers
 
 
-def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) -> DisjointSet:
-    """Parts that hang together, around each of the nodes for itself: groups of (node, part)."""
+def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) -> dict[tuple[int, Unit], tuple[int, Unit]]:
+    """Group the parts that hang together, around each of the nodes for itself: of (node, part) which one stands for it."""
     # Here, for it brings a tenth of a second of scipy's imports, and runs without discontinuities do without.
     from scipy.cluster.hierarchy import DisjointSet
 
@@ -72,10 +167,10 @@ def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) 
     for cell, neighbour, facet in _list_shared_facets(mesh, cells_around):
         for one, other in product(_list_units([cell], parts), _list_units([neighbour], parts)):
             reaches = [_find_reach(mesh, parts, unit, facet) for unit in (one, other)]
-            touch = min(end for _, end in reaches) - max(start for start, _ in reaches) > SHORTEST
+            touch = min(end for _, end in reaches) - max(start for start, _ in reaches) > SHORTEST_TOUCH
             for node in around.keys() & set(facet) if touch else ():
                 groups.merge((node, one), (node, other))
-    return groups
+    return {member: groups[member] for member in groups}
 
 
 def _find_cells_around(mesh: Mesh, nodes: IntArray) -> dict[int, list[int]]:
@@ -201,7 +296,7 @@ def is_cut_by(mesh: Mesh, line: Array) -> bool:
 def _keep_clear(line: Array, nodes: Array) -> Array:
     """The line, moved as little as keeps it clear of all nodes."""
     direction = line[-1] - line[0]
-    normal = np.array([-direction[1], direction[0]]) / max(float(np.linalg.norm(direction)), CLEARANCE)
+    normal = turn_left(direction) / max(float(np.linalg.norm(direction)), CLEARANCE)
     low, high = line.min(axis=0) - 1, line.max(axis=0) + 1
     near = nodes[((nodes >= low) & (nodes <= high)).all(axis=1)]
     for n_moves in range(MOST_MOVES):
@@ -239,8 +334,7 @@ def _find_touched_cells(mesh: Mesh, lines: Sequence[Array]) -> IntArray:
     for line in lines:
         for start, end in pairwise(line):
             meets = ((low <= np.maximum(start, end)) & (high >= np.minimum(start, end))).all(axis=1)
-            normal = np.array([start[1] - end[1], end[0] - start[0]])
-            heights = (corners - start) @ normal
+            heights = (corners - start) @ turn_left(end - start)
             lowest = np.minimum.reduceat(heights, mesh.offsets[:-1])
             highest = np.maximum.reduceat(heights, mesh.offsets[:-1])
             touched |= meets & (lowest <= 0) & (highest >= 0)

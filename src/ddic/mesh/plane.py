@@ -19,6 +19,11 @@ def build_rotation(angle: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
+def turn_left(vectors: Array) -> Array:
+    """Turn vectors, (..., 2), by a right angle from x towards y: normals of a line from its tangents."""
+    return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
+
+
 def multiply_across(a: Array, b: Array) -> Array:
     """Multiply vectors of the plane across: a_x b_y - a_y b_x, twice the area of the triangle that they span.
 

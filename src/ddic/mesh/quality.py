@@ -1,15 +1,17 @@
 """Area and shape of plane cells, whose nodes are the corners of a polygon.
 
-Areas of what cells cover: of whole cells, or of parts on one side of a discontinuity.
+Areas of what cells cover: of whole cells, or of parts on one side of a discontinuity. Corners of cells, each with its
+neighbours along the cell's edges.
 """
+
+from dataclasses import dataclass
 
 import numba
 import numpy as np
 
-from ddic.arrays import Array
+from ddic.arrays import Array, IntArray
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
-from ddic.mesh.topology import list_corners
 
 
 def measure_areas(mesh: Mesh) -> Array:
@@ -31,6 +33,35 @@ def measure_shape_quality(mesh: Mesh) -> Array:
     lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
     sines = np.divide(multiply_across(ahead, behind), lengths, out=np.zeros_like(lengths), where=lengths > 0)
     return np.asarray(np.minimum.reduceat(sines, mesh.offsets[:-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Corners of plane cells, cell after cell.
+
+    Attributes
+    ----------
+    cells, nodes : (n,) array of int64
+        Each corner's cell and node.
+    ahead, behind : (n,) array of int64
+        The cell's nodes after and before it.
+    """
+
+    cells: IntArray
+    nodes: IntArray
+    ahead: IntArray
+    behind: IntArray
+
+
+def list_corners(mesh: Mesh) -> Corners:
+    """List the corners of all cells, in the order of the cells' nodes; cells are plane, with their nodes as corners."""
+    counts = np.diff(mesh.offsets)
+    cells = np.repeat(np.arange(mesh.n_cells), counts)
+    first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]
+    place = np.arange(len(cells)) - first_of_cell
+    ahead = first_of_cell + (place + 1) % n_of_cell
+    behind = first_of_cell + (place - 1) % n_of_cell
+    return Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])
 
 
 def list_corner_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:

@@ -183,8 +183,9 @@ def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
 def list_pixels(raster: Raster, cells: IntArray) -> tuple[IntArray, IntArray]:
     """List the pixels of some cells, columns and rows, (n, 2), and the cell of each, (n,)."""
     runs, row_of_run, cell_of_run = raster.find_runs(cells)
-    lengths = (raster.stops[runs] - raster.starts[runs]).astype(np.int64)
-    columns, rows = list_ranges(raster.starts[runs], lengths), np.repeat(row_of_run, lengths)
+    starts = raster.starts[runs].astype(np.int64)
+    lengths = raster.stops[runs] - starts
+    columns, rows = list_ranges(starts, lengths), np.repeat(row_of_run, lengths)
     return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)
 
 

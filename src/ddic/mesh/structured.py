@@ -297,7 +297,7 @@ def count_cells(region: Sequence[float], element_size: float) -> tuple[int, int]
 
 def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: BoolArray | None) -> BoolArray:
     """Cells in no hole and in the mask."""
-    kept = ~np.any([np.zeros(len(grid.quads), dtype=bool), *in_holes], axis=0)
+    kept: BoolArray = ~np.logical_or.reduce([np.zeros(len(grid.quads), dtype=bool), *in_holes])
     if mask is not None:
         kept &= _cells_in_mask(grid, np.asarray(mask) != 0)
     if not kept.any():

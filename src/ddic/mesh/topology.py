@@ -1,8 +1,6 @@
 """Facets of a mesh: which cells share them, which lie on the boundary.
 
 Nodes by name or by box; those that regularization leaves free: loaded and clamped edges, where forces are unknown.
-
-Corners of cells, each with its neighbours along the cell's edges.
 """
 
 from collections.abc import Sequence
@@ -182,32 +180,3 @@ def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[
     if problems:
         raise InputError(problems)
     return np.unique(np.concatenate(chosen))
-
-
-@dataclass(frozen=True, eq=False)
-class Corners:
-    """Corners of plane cells, cell after cell.
-
-    Attributes
-    ----------
-    cells, nodes : (n,) array of int64
-        Each corner's cell and node.
-    ahead, behind : (n,) array of int64
-        The cell's nodes after and before it.
-    """
-
-    cells: IntArray
-    nodes: IntArray
-    ahead: IntArray
-    behind: IntArray
-
-
-def list_corners(mesh: Mesh) -> Corners:
-    """List the corners of all cells, in the order of the cells' nodes; cells are plane, with their nodes as corners."""
-    counts = np.diff(mesh.offsets)
-    cells = np.repeat(np.arange(mesh.n_cells), counts)
-    first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]
-    place = np.arange(len(cells)) - first_of_cell
-    ahead = first_of_cell + (place + 1) % n_of_cell
-    behind = first_of_cell + (place - 1) % n_of_cell
-    return Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])
