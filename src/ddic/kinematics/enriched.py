@@ -11,7 +11,6 @@ from itertools import permutations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
@@ -20,7 +19,7 @@ from ddic.kinematics.linear import LinearRegion
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import find_nearest_segments, measure_distance, turn_left
+from ddic.mesh.plane import compute_normals, find_nearest_segments, measure_distance
 
 Opening = Literal["both", "tangential", "normal"]
 """Directions, seen from the line, in which the displacement may be discontinuous."""
@@ -161,7 +160,7 @@ def _find_directions(cut: CutMesh, nodes: IntArray, openings: Sequence[Opening])
     return [_directions_of(openings[line], tangent) for line, tangent in zip(lines, tangents, strict=True)]
 
 
-def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, NDArray[np.intp]]:
+def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, IntArray]:
     """Unit vector along the nearest segment of any line, (n, dim), and the number of that line."""
     nearest = np.array([measure_distance(points, line) for line in cut.lines]).argmin(axis=0)
     tangents = np.empty(points.shape)
@@ -175,7 +174,7 @@ def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, NDArray[np.intp]
 def _directions_of(opening: Opening, tangent: Array) -> Array:
     if opening == "both":
         return np.eye(len(tangent))
-    return tangent[:, None] if opening == "tangential" else turn_left(tangent)[:, None]
+    return tangent[:, None] if opening == "tangential" else compute_normals(tangent)[:, None]
 
 
 def _follow_neighbours(cut: CutMesh, leader: IntArray, is_free: BoolArray,

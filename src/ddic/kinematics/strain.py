@@ -12,7 +12,7 @@ import numpy as np
 from ddic.arrays import Array, IntArray
 from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh, invert_matrices, pad_cells
-from ddic.mesh.plane import build_rotation, multiply_across
+from ddic.mesh.plane import Rotation, multiply_across
 from ddic.mesh.quality import list_corner_edges
 
 
@@ -148,8 +148,8 @@ def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
     after = after - after.mean(axis=0)
     cosine = (before * after).sum()
     sine = multiply_across(before, after).sum()
-    rotation = build_rotation(np.arctan2(sine, cosine))
-    return np.asarray(after @ rotation - before)
+    rotation = Rotation(float(np.arctan2(sine, cosine)))
+    return np.asarray(rotation.apply_inverse(after) - before)
 
 
 def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:

@@ -16,7 +16,7 @@ from ddic.mesh.cell_type import CELL_TYPES, T3, CellType
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import evaluate_shapes_at, locate
 from ddic.mesh.mesh import Mesh, build_mesh, join_meshes, pad_cells
-from ddic.mesh.plane import turn_left
+from ddic.mesh.plane import compute_normals
 from ddic.mesh.quality import measure_cell_size
 
 LONGEST = 2.0
@@ -126,7 +126,7 @@ def evaluate_tip_functions(tip: Tip, points: Array, on_own_side: Array) -> Array
 def _find_polar(tip: Tip, points: Array) -> tuple[Array, Array]:
     """Distance from the tip, and angle from the direction ahead."""
     x = (points - tip.position) @ tip.ahead
-    y = (points - tip.position) @ turn_left(tip.ahead)
+    y = (points - tip.position) @ compute_normals(tip.ahead)
     return np.hypot(x, y), np.arctan2(y, x)
 
 

@@ -102,7 +102,7 @@ def join_cell_parts(of_meshes: Sequence[tuple[CellParts, int]]) -> CellParts:
 
 
 class Outlines(NamedTuple):
-    """What each cell covers, as convex polygons in the form of a mesh's arrays, which compiled kernels take.
+    """What each cell covers: in the plane a convex polygon. The one way from cells to places, which kernels take too.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ import numpy as np
 from ddic.arrays import Array, IntArray
 from ddic.mesh.cell_parts import CellParts, Lines, find_offsets
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import measure_distance, multiply_across, turn_left
+from ddic.mesh.plane import compute_normals, measure_distance, multiply_across
 from ddic.mesh.topology import find_facets
 
 INNER = -1
@@ -129,8 +129,11 @@ Parts = Mapping[int, Sequence[CellPolygon]]
 Unit = tuple[int, int]
 """A cell and the place of one of its parts; place 0 stands for the whole of a cell that is not cut."""
 
+Member = tuple[int, Unit]
+"""A node, and one of the units around it."""
 
-def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
+
+def number_nodes(mesh: Mesh, parts: Parts) -> dict[Member, int]:
     """Number the nodes of all parts, by node of the whole mesh and part; phantoms come after the mesh's nodes.
 
     Around a node, parts hang together that share a piece of a side, or the node itself. Those that hang together with
@@ -139,7 +142,7 @@ def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
     cut_nodes = np.unique(np.concatenate([mesh.get_cell(cell) for cell in parts]))
     around = _find_cells_around(mesh, cut_nodes)
     groups = _group_units(mesh, parts, around)
-    numbers: dict[tuple[int, Unit], int] = {}
+    numbers: dict[Member, int] = {}
     next_phantom = mesh.n_nodes
     for node, cells in around.items():
         units = _list_units(cells, parts)
@@ -153,8 +156,8 @@ def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
     return numbers
 
 
-def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) -> dict[tuple[int, Unit], tuple[int, Unit]]:
-    """Group the parts that hang together, around each of the nodes for itself: of (node, part) which one stands for it."""
+def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) -> dict[Member, Member]:
+    """Group the parts that hang together, around each of the nodes for itself: which member stands for each."""
     # Here, for it brings a tenth of a second of scipy's imports, and runs without discontinuities do without.
     from scipy.cluster.hierarchy import DisjointSet
 
@@ -296,7 +299,7 @@ def is_cut_by(mesh: Mesh, line: Array) -> bool:
 def _keep_clear(line: Array, nodes: Array) -> Array:
     """The line, moved as little as keeps it clear of all nodes."""
     direction = line[-1] - line[0]
-    normal = turn_left(direction) / max(float(np.linalg.norm(direction)), CLEARANCE)
+    normal = compute_normals(direction) / max(float(np.linalg.norm(direction)), CLEARANCE)
     low, high = line.min(axis=0) - 1, line.max(axis=0) + 1
     near = nodes[((nodes >= low) & (nodes <= high)).all(axis=1)]
     for n_moves in range(MOST_MOVES):
@@ -334,7 +337,7 @@ def _find_touched_cells(mesh: Mesh, lines: Sequence[Array]) -> IntArray:
     for line in lines:
         for start, end in pairwise(line):
             meets = ((low <= np.maximum(start, end)) & (high >= np.minimum(start, end))).all(axis=1)
-            heights = (corners - start) @ turn_left(end - start)
+            heights = (corners - start) @ compute_normals(end - start)
             lowest = np.minimum.reduceat(heights, mesh.offsets[:-1])
             highest = np.maximum.reduceat(heights, mesh.offsets[:-1])
             touched |= meets & (lowest <= 0) & (highest >= 0)

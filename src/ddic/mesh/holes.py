@@ -14,15 +14,9 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray
 from ddic.mesh.plane import is_inside_edges, multiply_across
 
-NO_CORNERS = np.zeros((0, 2))
-
 
 class Hole(Protocol):
     """A closed outline in the plane."""
-
-    @property
-    def corners(self) -> Array:
-        """Points of the outline at which a node is to lie, (n, 2), pixels."""
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance of points, (n, 2), to the outline, (n,), pixels, negative inside."""
@@ -43,11 +37,6 @@ class CircularHole:
 
     center: tuple[float, float]
     radius: float
-
-    @property
-    def corners(self) -> Array:
-        """None, (0, 2)."""
-        return NO_CORNERS
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the circle, pixels, negative inside."""
@@ -72,11 +61,6 @@ class PolygonalHole:
     """
 
     vertices: Array
-
-    @property
-    def corners(self) -> Array:
-        """None, (0, 2): nodes go to the nearest point of a side."""
-        return NO_CORNERS
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the polygon, pixels, negative inside."""
@@ -122,7 +106,7 @@ class OutlinedHole:
     rings : tuple of PolygonalHole
         Closed polygons; inside is what an odd number of them holds.
     corners : (n, 2) array
-        Where they turn sharply, pixels.
+        Where they turn sharply, pixels: a node is to lie at each. In other holes nodes go to the nearest points.
     """
 
     rings: tuple[PolygonalHole, ...]

@@ -175,18 +175,7 @@ class Mesh:
         return np.asarray(sums / np.diff(outlines.offsets)[:, None])
 
     def find_cells_among(self, is_among: BoolArray) -> IntArray:
-        """Find the cells whose nodes all are among some.
-
-        Parameters
-        ----------
-        is_among : (n_nodes,) array of bool
-            Which nodes those are.
-
-        Returns
-        -------
-        (n,) int64 array
-            Their sorted numbers.
-        """
+        """Find the cells whose nodes all are among some, (n_nodes,) whether it is one: sorted numbers."""
         all_are = np.logical_and.reduceat(is_among[self.connectivity], self.offsets[:-1])
         return np.flatnonzero(all_are).astype(np.int64)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,33 @@ def build_rotation(angle: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
-def turn_left(vectors: Array) -> Array:
+@dataclass(frozen=True)
+class Rotation:
+    """A rotation, which in the plane is an angle; who only turns vectors need not know that.
+
+    Attributes
+    ----------
+    angle : float
+        Radians, from x towards y.
+    """
+
+    angle: float
+
+    @property
+    def matrix(self) -> Array:
+        """R, (2, 2)."""
+        return build_rotation(self.angle)
+
+    def apply(self, vectors: Array) -> Array:
+        """Turn vectors, (n, 2)."""
+        return np.asarray(vectors @ self.matrix.T)
+
+    def apply_inverse(self, vectors: Array) -> Array:
+        """Turn vectors, (n, 2), back: the inverse of R is its transpose."""
+        return np.asarray(vectors @ self.matrix)
+
+
+def compute_normals(vectors: Array) -> Array:
     """Turn vectors, (..., 2), by a right angle from x towards y: normals of a line from its tangents."""
     return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
 

@@ -76,9 +76,10 @@ def snap_to_holes(mesh: Mesh, members: Sequence[IntArray], holes: Sequence[Hole]
     for member, hole in zip(on_holes, holes, strict=True):
         target[member] = _on_outline(mesh.nodes[member], hole, region)
     for member, hole in zip(on_holes, holes, strict=True):
-        # Nodes on a side of the region stay on it.
-        free = member[_is_between_sides(mesh.nodes[member], region)]
-        _take_corners(mesh, target, free, hole.corners[_is_between_sides(hole.corners, region)])
+        if isinstance(hole, OutlinedHole):
+            # Nodes on a side of the region stay on it.
+            free = member[_is_between_sides(mesh.nodes[member], region)]
+            _take_corners(mesh, target, free, hole.corners[_is_between_sides(hole.corners, region)])
     return _move_carefully(mesh, target), on_holes
 
 
