@@ -6,7 +6,7 @@ import numpy as np
 
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import build_mesh
-from ddic.mesh.topology import list_corners
+from ddic.mesh.quality import list_corners
 
 NODES = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 8.0], [0.0, 8.0], [15.0, 4.0]])
 MESH = build_mesh(NODES, [(Q4, np.array([[0, 1, 2, 3]])), (T3, np.array([[1, 4, 2], [4, 2, 1]]))])

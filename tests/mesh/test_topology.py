@@ -14,12 +14,12 @@ from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import (
-    _distinct_rows,
     find_adjacent_cells,
     find_boundary_facets,
     find_boundary_nodes,
+    find_distinct_rows,
     find_facets,
-    find_named_facets,
+    find_named_nodes,
     find_not_controlled_nodes,
 )
 
@@ -53,17 +53,11 @@ def test_boundary_of_mixed_mesh() -> None:
     assert find_boundary_nodes(MIXED).tolist() == list(range(7))
 
 
-def test_named_facets_lie_on_the_boundary_only() -> None:
-    # Edge 2-3 has both nodes in the set, but two cells.
-    found = {tuple(sorted(nodes)) for nodes in find_named_facets(MIXED, "tip").tolist()}
-    assert found == {(2, 6), (3, 6)}
-
-
 def test_unknown_and_empty_sets_are_refused() -> None:
     with pytest.raises(InputError, match='did you mean "tip"'):
-        find_named_facets(MIXED, "tipp")
+        find_named_nodes(MIXED, "tipp")
     with pytest.raises(InputError, match="holds no node"):
-        find_named_facets(MIXED, "none")
+        find_named_nodes(MIXED, "none")
 
 
 def test_adjacency_of_mixed_mesh() -> None:
@@ -123,7 +117,7 @@ def test_facets_are_numbered_in_the_order_of_their_nodes(n_nodes: int, width: in
     rng = np.random.default_rng(width)
     rows = rng.integers(-1, n_nodes, (400, width))
     rows = np.concatenate([rows, rows[rng.permutation(400)[:150]]])
-    first, numbers = _distinct_rows(rows, n_nodes)
+    first, numbers = find_distinct_rows(rows, n_nodes)
     _, expected_first, expected_numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     np.testing.assert_array_equal(first, expected_first)
     np.testing.assert_array_equal(numbers, expected_numbers.reshape(-1))

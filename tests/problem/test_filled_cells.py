@@ -84,7 +84,7 @@ def test_forces_are_minus_the_gradient_of_the_energy(angle: float) -> None:
 
     def energy(of: Array) -> float:
         motion = fit_rigid_motion(field(of))
-        rest = ((of.reshape(-1, 2) - motion.evaluate(MESH.nodes)) @ motion.rotation).ravel()
+        rest = ((of.reshape(-1, 2) - motion.evaluate(MESH.nodes)) @ motion.rotation.matrix).ravel()
         return float(0.5 * rest @ (k @ rest))
 
     (forces,) = filled.compute_forces(field(q))

@@ -17,7 +17,7 @@ from ddic.kinematics.enriched import Discontinuities, Opening
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.cell_parts import CellParts, Lines
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import build_rotation, build_tree, find_runs, subdivide
+from ddic.mesh.plane import Rotation, build_tree, compute_normals, find_runs, subdivide
 
 REACH = 2.0
 """Distance from a mesh's nodes, in diameters of its largest cell, up to which a camera sees a line. Within one diameter
@@ -62,9 +62,8 @@ def _see_line(line: Array, mesh: Mesh, mapping: CameraMapping) -> list[Array]:
 
 def _is_near(points: Array, mesh: Mesh) -> BoolArray:
     """Whether points lie in a mesh or not far beyond its edge."""
-    corners = mesh.nodes[mesh.connectivity]
-    sizes = np.maximum.reduceat(corners, mesh.offsets[:-1]) - np.minimum.reduceat(corners, mesh.offsets[:-1])
-    diameter = float(np.linalg.norm(sizes, axis=1).max())
+    low, high = mesh.whole_outlines.find_boxes()
+    diameter = float(np.linalg.norm(high - low, axis=1).max())
     distances, _ = build_tree(mesh.nodes).query(points)
     return np.asarray(distances <= REACH * diameter)
 
@@ -118,8 +117,7 @@ class CameraSetup:
             return points
         if self.n_motion_unknowns == 2:
             return np.asarray(points + motion)
-        arms = points - self.centre
-        turned = arms @ self._rotation(motion).T
+        turned = self._rotation(motion).apply(points - self.centre)
         return np.asarray(self.centre + turned + motion[:2])
 
     def move_back(self, points: Array, motion: Array) -> Array:
@@ -129,28 +127,22 @@ class CameraSetup:
         if self.n_motion_unknowns == 2:
             return np.asarray(points - motion)
         turned = points - motion[:2] - self.centre
-        # The inverse of a rotation is its transpose.
-        arms = turned @ self._rotation(motion)
-        return np.asarray(self.centre + arms)
+        return np.asarray(self.centre + self._rotation(motion).apply_inverse(turned))
 
     def motion_columns(self, points: Array) -> Array:
         """Differentiate T by the motion's unknowns at rest: alpha's columns R, Boolean in Eq. 20 of [BP17].
 
         R is (2 n, n_motion_unknowns), no unit, at points Y of the specimen's frame, (n, 2).
         """
-        n_points = len(points)
-        columns = np.zeros((n_points, 2, self.n_motion_unknowns))
+        columns = np.zeros((*points.shape, self.n_motion_unknowns))
         if self.n_motion_unknowns:
-            columns[:, 0, 0] = 1.0
-            columns[:, 1, 1] = 1.0
+            columns[:, :, :2] = np.eye(2)
         if self.n_motion_unknowns == 3:
-            arm = (points - self.centre) / self.length
-            columns[:, 0, 2] = -arm[:, 1]
-            columns[:, 1, 2] = arm[:, 0]
-        return columns.reshape(2 * n_points, self.n_motion_unknowns)
+            columns[:, :, 2] = compute_normals((points - self.centre) / self.length)
+        return columns.reshape(points.size, self.n_motion_unknowns)
 
-    def _rotation(self, motion: Array) -> Array:
-        return build_rotation(float(motion[2]) / self.length)
+    def _rotation(self, motion: Array) -> Rotation:
+        return Rotation(float(motion[2]) / self.length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +180,10 @@ class CameraKinematics(Kinematics):
         """Displace the nodes in the image, phi(T(X + u)) - phi(X)."""
         nodes = self.field.mesh.nodes
         u = self.field.displacement(unknowns[:self.field.n_unknowns])
-        moved = self.setup.move(nodes + u.reshape(nodes.shape), self._own_motion(unknowns))
+        # Unknowns of another camera's motion may follow.
+        first = self.field.n_unknowns
+        motion = unknowns[first:first + self.setup.n_motion_unknowns]
+        moved = self.setup.move(nodes + u.reshape(nodes.shape), motion)
         return np.asarray(self.setup.mapping.to_image(moved) - self.mesh.nodes).ravel()
 
     def fit(self, displacement: Array) -> Array:
@@ -211,10 +206,6 @@ class CameraKinematics(Kinematics):
     def hold_still(self) -> CameraKinematics:
         """Give the same for a set-up that does not move between its pictures."""
         return place_before_camera(self.field, self.setup.hold_still())
-
-    def _own_motion(self, unknowns: Array) -> Array:
-        first = self.field.n_unknowns
-        return unknowns[first:first + self.setup.n_motion_unknowns]
 
 
 def place_before_camera(field: Kinematics, setup: CameraSetup,
@@ -244,6 +235,6 @@ def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
 
 
 def _block_diagonal(blocks: Array) -> sparse.bsr_matrix:
-    """One block (2, 2) a node, (2 n, 2 n)."""
-    n = len(blocks)
-    return sparse.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(2 * n, 2 * n))
+    """One block (dim, dim) a node, (dim n, dim n)."""
+    n, dim, _ = blocks.shape
+    return sparse.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(dim * n, dim * n))

@@ -11,7 +11,6 @@ from itertools import permutations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
@@ -20,7 +19,7 @@ from ddic.kinematics.linear import LinearRegion
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import find_nearest_segments, measure_distance
+from ddic.mesh.plane import compute_normals, find_nearest_segments, measure_distance
 
 Opening = Literal["both", "tangential", "normal"]
 """Directions, seen from the line, in which the displacement may be discontinuous."""
@@ -107,38 +106,23 @@ def enrich(cut: CutMesh, corner_weights: Array, openings: Sequence[Opening]) -> 
     of its neighbours across the line. ``corner_weights`` say how firmly the pixels of each cell hold each of its nodes
     (``weigh_corners``), (len(cut.mesh.connectivity),); ``openings`` are one a line.
     """
-    twins = _judge_twins(cut, corner_weights)
+    leader, is_active = _judge_twins(cut, corner_weights)
     dim, n_nodes = cut.mesh.dim, int(cut.node_of.max()) + 1
-    leads = twins.leader == np.arange(cut.mesh.n_nodes)
-    free = np.flatnonzero(~leads & twins.is_active)
-    bound = np.flatnonzero(~leads & ~twins.is_active)
+    leads = leader == np.arange(cut.mesh.n_nodes)
+    free = np.flatnonzero(~leads & is_active)
     directions = _find_directions(cut, free, openings)
     n_directions = np.array([axes.shape[1] for axes in directions], dtype=np.int64)
     n_unknowns = n_nodes * dim + int(n_directions.sum())
 
     matrix = _move_with_nodes(cut, n_unknowns)
     matrix = matrix + _open_by_unknowns(cut, free, directions, n_unknowns)
-    matrix = _follow_neighbours(cut, twins, bound, matrix)
-    leaders = twins.leader[:n_nodes]
-    seen_at = np.concatenate([np.repeat(leaders, dim), np.repeat(free, n_directions)])
+    matrix = _follow_neighbours(cut, leader, leads | is_active, matrix)
+    seen_at = np.concatenate([np.repeat(leader[:n_nodes], dim), np.repeat(free, n_directions)])
     return EnrichedRegion(cut.mesh, matrix, cut.node_of[seen_at], seen_at)
 
 
-@dataclass(frozen=True, eq=False)
-class _Twins:
-    """Of each node of the cut mesh, which of it and its phantoms leads; whether it has pixels enough itself."""
-
-    leader: IntArray
-    is_active: BoolArray
-
-    @property
-    def is_free(self) -> BoolArray:
-        """Whether a node has unknowns of its own."""
-        return np.asarray(self.is_active | (self.leader == np.arange(len(self.leader))))
-
-
-def _judge_twins(cut: CutMesh, corner_weights: Array) -> _Twins:
-    """Find the nodes with pixels enough, and of those at one place the one with most of them."""
+def _judge_twins(cut: CutMesh, corner_weights: Array) -> tuple[IntArray, BoolArray]:
+    """Of each node and its phantoms find which one leads, with most pixels, and of each whether it has enough."""
     mesh = cut.mesh
     of_each = np.bincount(mesh.connectivity, weights=corner_weights, minlength=mesh.n_nodes)
     of_place = np.bincount(cut.node_of, weights=of_each)
@@ -146,7 +130,7 @@ def _judge_twins(cut: CutMesh, corner_weights: Array) -> _Twins:
     order = np.argsort(of_each, kind="stable")
     largest = np.zeros(len(of_place), dtype=np.int64)
     largest[cut.node_of[order]] = order
-    return _Twins(largest[cut.node_of], of_each >= LEAST_SHARE * of_place[cut.node_of])
+    return largest[cut.node_of], of_each >= LEAST_SHARE * of_place[cut.node_of]
 
 
 def _move_with_nodes(cut: CutMesh, n_unknowns: int) -> sparse.csr_matrix:
@@ -176,18 +160,11 @@ def _find_directions(cut: CutMesh, nodes: IntArray, openings: Sequence[Opening])
     return [_directions_of(openings[line], tangent) for line, tangent in zip(lines, tangents, strict=True)]
 
 
-def _find_nearest_lines(cut: CutMesh, points: Array) -> NDArray[np.intp]:
-    """Number of the line nearest to each point."""
-    distances = np.array([measure_distance(points, line) for line in cut.lines])
-    return np.asarray(distances.argmin(axis=0))
-
-
-def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, NDArray[np.intp]]:
+def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, IntArray]:
     """Unit vector along the nearest segment of any line, (n, dim), and the number of that line."""
-    lines = cut.lines
-    nearest = _find_nearest_lines(cut, points)
+    nearest = np.array([measure_distance(points, line) for line in cut.lines]).argmin(axis=0)
     tangents = np.empty(points.shape)
-    for number, line in enumerate(lines):
+    for number, line in enumerate(cut.lines):
         mine = np.flatnonzero(nearest == number)
         along = np.diff(line, axis=0)[find_nearest_segments(points[mine], line)[0]]
         tangents[mine] = along / np.linalg.norm(along, axis=1)[:, None]
@@ -197,24 +174,19 @@ def _find_tangents(cut: CutMesh, points: Array) -> tuple[Array, NDArray[np.intp]
 def _directions_of(opening: Opening, tangent: Array) -> Array:
     if opening == "both":
         return np.eye(len(tangent))
-    if opening == "tangential":
-        return tangent[:, None]
-    return np.array([[-tangent[1]], [tangent[0]]])
+    return tangent[:, None] if opening == "tangential" else compute_normals(tangent)[:, None]
 
 
-def _follow_neighbours(cut: CutMesh, twins: _Twins, bound: IntArray, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Rows by which bound nodes open as their neighbours do: those of free ones first, then theirs.
+def _follow_neighbours(cut: CutMesh, leader: IntArray, is_free: BoolArray,
+                       matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Rows by which bound nodes, which are not free, open as their neighbours do: of free ones first, then of theirs.
 
     One that no neighbour reaches stays closed.
     """
-    is_known, waiting = twins.is_free.copy(), bound
-    while len(waiting):
-        pairs = _find_pairs_across(cut, twins.leader, is_known, waiting)
-        if not pairs:
-            return matrix
+    is_known = is_free.copy()
+    while pairs := _find_pairs_across(cut, leader, is_known):
         matrix = matrix + _average_openings(cut, pairs) @ matrix
         is_known[list(pairs)] = True
-        waiting = waiting[~is_known[waiting]]
     return matrix
 
 
@@ -248,20 +220,20 @@ def _interpolate_along(places: Array) -> Array:
     return np.asarray(share * at_next / at_next.sum() + (1 - share) * at_last / at_last.sum())
 
 
-def _find_pairs_across(cut: CutMesh, leader: IntArray, is_known: BoolArray,
-                       bound: IntArray) -> dict[int, list[tuple[int, int]]]:
-    """Known neighbours of bound nodes on their own side, and their twins on the side of the one that leads it.
+def _find_pairs_across(cut: CutMesh, leader: IntArray, is_known: BoolArray) -> dict[int, list[tuple[int, int]]]:
+    """Known neighbours of unknown nodes on their own side, and their twins on the side of the one that leads it.
 
-    Of those bound nodes that have any.
+    Of those unknown nodes that have any.
     """
-    wanted = set(bound.tolist())
+    if is_known.all():
+        return {}
     found: dict[int, list[tuple[int, int]]] = {}
     for parts in _group_parts(cut):
         for one, other in permutations(parts, 2):
             are_known = (one != other) & is_known[one] & is_known[other]
             pairs = list(zip(one[are_known].tolist(), other[are_known].tolist(), strict=True))
             for node, across in zip(one.tolist(), other.tolist(), strict=True):
-                if pairs and node in wanted and across == leader[node]:
+                if pairs and not is_known[node] and across == leader[node]:
                     known = found.setdefault(node, [])
                     known += [pair for pair in pairs if pair not in known]
     return found
@@ -272,6 +244,5 @@ def _group_parts(cut: CutMesh) -> list[list[IntArray]]:
     groups: dict[int, list[IntArray]] = {}
     cells = np.zeros(0, np.int64) if cut.mesh.parts is None else cut.mesh.parts.cells
     for number in cells:
-        nodes = cut.mesh.cells[number]
-        groups.setdefault(int(cut.cell_of[number]), []).append(nodes[nodes >= 0])
+        groups.setdefault(int(cut.cell_of[number]), []).append(cut.mesh.get_cell(number))
     return list(groups.values())

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
@@ -233,7 +232,7 @@ def _fit_of_weights(weights: sparse.csr_matrix) -> sparse.csr_matrix:
     return take_free + place_masters @ fit_masters @ left_to_masters
 
 
-def _selection(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]) -> sparse.csr_matrix:
+def _selection(rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> sparse.csr_matrix:
     """1 at some places, 0 elsewhere."""
     ones = np.ones(len(rows))
     return sparse.csr_matrix((ones, (rows, columns)), shape=shape)

@@ -3,8 +3,6 @@
 Of neighbours of which some may be wrong too, by which a displacement is interpolated between points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,9 +36,9 @@ class AffineMap:
 
     Attributes
     ----------
-    centre, translation : (2,) array
+    centre, translation : (dim,) array
         A position, and its displacement, pixels.
-    gradient : (2, 2) array
+    gradient : (dim, dim) array
         du_i/dx_j.
     """
 
@@ -49,7 +47,7 @@ class AffineMap:
     gradient: Array
 
     def at(self, points: Array) -> Array:
-        """Evaluate the displacement at points, (n, 2), pixels."""
+        """Evaluate the displacement at points, (n, dim), pixels."""
         return np.asarray(self.translation + (points - self.centre) @ self.gradient.T)
 
 
@@ -62,7 +60,7 @@ def fit_affine_map(points: Array, displacement: Array) -> AffineMap:
     offsets, rest = points - centre, displacement - translation
     axes = np.linalg.svd(offsets, compute_uv=False)
     if axes[0] == 0.0:
-        return AffineMap(centre, translation, np.zeros((2, 2)))
+        return AffineMap(centre, translation, np.zeros((len(centre), len(centre))))
     if len(axes) > 1 and axes[1] > THIN * axes[0]:
         return AffineMap(centre, translation, np.linalg.lstsq(offsets, rest, rcond=None)[0].T)
     return AffineMap(centre, translation, fit_complex_factor(offsets, rest))
@@ -100,7 +98,7 @@ def fit_robustly(offsets: Array, displacement: Array) -> Array:
     """
     spread = np.sqrt((offsets**2).mean(axis=(1, 2), keepdims=True))
     terms = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets / np.maximum(spread, 1e-12)], axis=2)
-    ridge = offsets.shape[1] * RIDGE**2 * np.diag([0.0, 1.0, 1.0])
+    ridge = offsets.shape[1] * RIDGE**2 * np.diag([0.0, *np.ones(offsets.shape[2])])
     weights = np.ones(offsets.shape[:2])
     for _ in range(N_ROUNDS):
         weighted = terms * weights[..., None]

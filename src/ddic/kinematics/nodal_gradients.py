@@ -8,10 +8,9 @@ discontinuities, where cells lie to one side, neighbours tell the slopes, and gr
 cell across a discontinuity is asked: its nodes are others. All comes of sums over the cells around each node.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -25,55 +24,10 @@ N_OF_CELLS, N_OF_TRIANGLES = 18, 11
 """Columns of what is summed over cells, and over the triangles at their corners."""
 
 
-@dataclass(frozen=True, eq=False)
-class SumsAroundNodes:
-    """What is summed around each node, by name.
-
-    Cells weigh by their areas: G is the gradient in a cell's middle, x goes there from the node. A triangle at a corner
-    weighs by its own area.
-
-    Attributes
-    ----------
-    area, triangle_area : (n_nodes,) array
-        Of the cells, and of the triangles, square pixels.
-    middle : (n_nodes, 2) array
-        Sum of x.
-    squares : (n_nodes, 2, 2) array
-        Sum of x x^T.
-    gradient, triangle_gradient : (n_nodes, 2, 2) array
-        Sum of G, and of the triangles' gradients.
-    moments : (n_nodes, 2, 2, 2) array
-        Sum of G_cj x_k.
-    triangle_curving : (n_nodes, 2, 3) array
-        Sum of what curvatures (xx, xy, yy) of 1 / px add to the derivatives by x_j of a triangle, pixels.
-    """
-
-    area: Array
-    middle: Array
-    squares: Array
-    gradient: Array
-    moments: Array
-    triangle_area: Array
-    triangle_gradient: Array
-    triangle_curving: Array
-
-    @classmethod
-    def from_columns(cls, columns: Array) -> SumsAroundNodes:
-        """Name the columns of ``sum_around_nodes``, summed over all meshes that share a node."""
-        of_cells, of_triangles = columns[:, :N_OF_CELLS], columns[:, N_OF_CELLS:]
-        # _add_cells and _add_triangles order them so.
-        xx_xy_xy_yy = [3, 4, 4, 5]
-        return cls(area=of_cells[:, 0], middle=of_cells[:, 1:3], squares=of_cells[:, xx_xy_xy_yy].reshape(-1, 2, 2),
-                   gradient=of_cells[:, 6:10].reshape(-1, 2, 2),
-                   moments=np.moveaxis(of_cells[:, 10:].reshape(-1, 2, 2, 2), 1, 3),
-                   triangle_area=of_triangles[:, 0], triangle_gradient=of_triangles[:, 1:5].reshape(-1, 2, 2),
-                   triangle_curving=of_triangles[:, 5:].reshape(-1, 2, 3))
-
-
 def sum_around_nodes(mesh: Mesh, u: Array) -> Array:
     """Sum over the cells around each node, (n_nodes, N_OF_CELLS + N_OF_TRIANGLES).
 
-    The sums add up over meshes; ``SumsAroundNodes`` names them. Cells are plane, and their corners are their nodes;
+    The sums add up over meshes. Cells are plane, and their corners are their nodes;
     ``u`` is the displacement, (n_dofs,), pixels: where it is nan no cell uses it.
     """
     gradients = compute_displacement_gradients(mesh, u).reshape(-1, 4)
@@ -156,14 +110,14 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
     was not measured are as good as not there; nan at nodes of such cells alone.
     """
     meshes = [_without_unmeasured_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)]
-    sums = sum_shared([sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
-    around = [SumsAroundNodes.from_columns(of_mesh) for of_mesh in sums]
-    slopes = own_slopes = [_fit_slopes(of_mesh) for of_mesh in around]
+    around = sum_shared([sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
+    slopes = own_slopes = [_fit_slopes(of_mesh[:, :N_OF_CELLS]) for of_mesh in around]
     for _ in range(N_PASSES):
         carried = sum_shared([_carry_slopes(mesh, known) for mesh, known in zip(meshes, slopes, strict=True)])
         slopes = [_take(known, to_nodes) for known, to_nodes in zip(slopes, carried, strict=True)]
     # Nodes with slopes that are not their own cells' lie at edges.
-    found = [_AtNodes(_average_triangles(of_mesh, of_nodes.value), of_nodes.value, of_nodes.known & ~own.known)
+    found = [_AtNodes(_average_triangles(of_mesh[:, N_OF_CELLS:], of_nodes.value), of_nodes.value,
+                      of_nodes.known & ~own.known)
              for of_mesh, of_nodes, own in zip(around, slopes, own_slopes, strict=True)]
     carried = sum_shared([_sum_along_edges(mesh, at_nodes) for mesh, at_nodes in zip(meshes, found, strict=True)])
     return [_average_along_edges(at_nodes, along) for at_nodes, along in zip(found, carried, strict=True)]
@@ -174,8 +128,7 @@ def _without_unmeasured_cells(mesh: Mesh, u: Array) -> Mesh:
     is_measured = np.isfinite(u.reshape(mesh.nodes.shape)).all(axis=1)
     if is_measured.all():
         return mesh
-    part, node_ids = mesh.create_submesh(mesh.find_cells_among(is_measured))
-    return replace(part, nodes=mesh.nodes, connectivity=node_ids[part.connectivity], node_sets=mesh.node_sets)
+    return mesh.keep_cells(mesh.find_cells_among(is_measured))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,13 +148,16 @@ class _AtNodes:
     at_edge: BoolArray
 
 
-def _fit_slopes(sums: SumsAroundNodes) -> _Slopes:
-    """Slopes from the gradients in the middle of the nodes' own cells, by least squares."""
+def _fit_slopes(sums: Array) -> _Slopes:
+    """Slopes from the gradients in the middle of the nodes' own cells, by least squares; sums: as _add_cells orders."""
     # Nodes without a measured cell have no sums.
-    area = np.where(sums.area > 0, sums.area, 1.0)[:, None, None]
-    mean_x, mean_gradient = sums.middle / area[:, :, 0], sums.gradient / area
-    spread = sums.squares / area - mean_x[:, :, None] * mean_x[:, None, :]
-    covariance = sums.moments / area[..., None] - mean_gradient[..., None] * mean_x[:, None, None, :]
+    means = sums / np.where(sums[:, 0] > 0, sums[:, 0], 1.0)[:, None]
+    xx_xy_xy_yy = [3, 4, 4, 5]
+    mean_x, mean_square = means[:, 1:3], means[:, xx_xy_xy_yy].reshape(-1, 2, 2)
+    mean_gradient = means[:, 6:10].reshape(-1, 2, 2)
+    mean_moment = np.moveaxis(means[:, 10:].reshape(-1, 2, 2, 2), 1, 3)
+    spread = mean_square - mean_x[:, :, None] * mean_x[:, None, :]
+    covariance = mean_moment - mean_gradient[..., None] * mean_x[:, None, None, :]
     widths = np.linalg.eigvalsh(spread)
     known = widths[:, 0] > FLAT * widths[:, 1]
     inverse = np.zeros_like(spread)
@@ -213,20 +169,22 @@ def _fit_slopes(sums: SumsAroundNodes) -> _Slopes:
     return _Slopes(slope, known)
 
 
-def _average_triangles(sums: SumsAroundNodes, slope: Array) -> Array:
-    """Mean gradient of the triangles at each node without what the displacement's curvature adds to it, (n, 2, 2)."""
-    area = np.where(sums.triangle_area > 0, sums.triangle_area, np.nan)[:, None, None]
+def _average_triangles(sums: Array, slope: Array) -> Array:
+    """Mean gradient of the triangles at each node without what the displacement's curvature adds to it, (n, 2, 2).
+
+    ``sums`` are as _add_triangles orders them.
+    """
+    means = sums / np.where(sums[:, 0] > 0, sums[:, 0], np.nan)[:, None]
+    mean_gradient, mean_curving = means[:, 1:5].reshape(-1, 2, 2), means[:, 5:].reshape(-1, 2, 3)
     # u_c curves by the symmetric part: measured slopes need not be derivatives of one field.
     curvature = np.stack([slope[..., 0, 0], 0.5 * (slope[..., 0, 1] + slope[..., 1, 0]), slope[..., 1, 1]], axis=2)
-    added = np.einsum("njm,ncm->ncj", sums.triangle_curving / area, curvature)
-    return np.asarray(sums.triangle_gradient / area - added)
+    return np.asarray(mean_gradient - np.einsum("njm,ncm->ncj", mean_curving, curvature))
 
 
 def _carry_slopes(mesh: Mesh, slopes: _Slopes) -> Array:
     """Sums for nodes without slopes over those of the same cells that have them, (n_nodes, 9): 1, slope; by area."""
     pairs = _pair_nodes(mesh, ~slopes.known, slopes.known)
-    values = slopes.value[pairs.source].reshape(-1, 8)
-    return _sum_pairs(mesh, pairs, values)
+    return _sum_pairs(mesh, pairs, slopes.value[pairs.source].reshape(-1, 8))
 
 
 def _take(slopes: _Slopes, carried: Array) -> _Slopes:
@@ -254,8 +212,7 @@ def _average_along_edges(found: _AtNodes, carried: Array) -> Array:
     return gradient
 
 
-@dataclass(frozen=True, eq=False)
-class _Pairs:
+class _Pairs(NamedTuple):
     """Pairs of nodes of one cell: the cell of each, the node that takes and the one that gives, (n,) each."""
 
     cells: IntArray

@@ -1,7 +1,7 @@
 """Strains of the measured field, at cell centres.
 
-Tensors come from displacement gradients, and numbers from tensors, all in the plane. Also the rigid motion in a
-displacement, what is left without it, and how far that can be magnified.
+Tensors come from displacement gradients, in the plane or in space, and numbers from tensors of the plane. Also how far
+a displacement can be magnified.
 """
 
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ import numpy as np
 from ddic.arrays import Array, IntArray
 from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh, invert_matrices, pad_cells
-from ddic.mesh.plane import build_rotation, multiply_across
-from ddic.mesh.topology import list_corners
+from ddic.mesh.plane import Rotation, multiply_across
+from ddic.mesh.quality import list_corner_edges
 
 
 @dataclass(frozen=True)
 class Strain:
-    """Symmetric tensors of every cell, no unit: in the plane (exx, eyy, exy).
+    """Symmetric tensors of every cell, no unit, by the components of ``list_components``.
 
     Attributes
     ----------
-    infinitesimal : (n_cells, dim (dim + 1) / 2) array
+    infinitesimal : (n_cells, n_components) array
         (grad u + grad u^T) / 2.
-    green_lagrange : (n_cells, dim (dim + 1) / 2) array
+    green_lagrange : (n_cells, n_components) array
         That plus grad u^T grad u / 2.
     """
 
@@ -37,7 +37,7 @@ def compute_strain(mesh: Mesh, q: Array) -> Strain:
     gradient = compute_displacement_gradients(mesh, q)
     small = 0.5 * (gradient + gradient.transpose(0, 2, 1))
     large = small + 0.5 * np.einsum("eki,ekj->eij", gradient, gradient)
-    return Strain(_independent_components(small), _independent_components(large))
+    return Strain(_pick_components(small), _pick_components(large))
 
 
 def find_inverted_cells(mesh: Mesh, q: Array) -> IntArray:
@@ -71,23 +71,37 @@ def compute_displacement_gradients(mesh: Mesh, q: Array) -> Array:
     return gradient
 
 
-def _independent_components(tensor: Array) -> Array:
-    """The diagonal of symmetric tensors (n, dim, dim), then what is above it."""
-    dim = tensor.shape[-1]
-    places = [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
-    return np.stack([tensor[:, i, j] for i, j in places], axis=1)
+def list_components(dim: int) -> list[tuple[int, int]]:
+    """List the components of a symmetric tensor, (i, j), in their order: the diagonal, then what is above it.
 
+    In the plane xx, yy, xy; in space xx, yy, zz, xy, xz, yz.
+    """
+    return [*((i, i) for i in range(dim)), *combinations(range(dim), 2)]
+
+
+def _pick_components(tensors: Array) -> Array:
+    """The components of symmetric tensors, from (n, dim, dim) to (n, n_components)."""
+    return np.stack([tensors[:, i, j] for i, j in list_components(tensors.shape[-1])], axis=1)
+
+
+def _build_tensors(components: Array) -> Array:
+    """Symmetric tensors with these components, from (n, n_components) to (n, dim, dim)."""
+    dim = {n * (n + 1) // 2: n for n in (1, 2, 3)}[components.shape[1]]
+    tensors = np.empty((len(components), dim, dim))
+    for values, (i, j) in zip(components.T, list_components(dim), strict=True):
+        tensors[:, i, j] = tensors[:, j, i] = values
+    return tensors
 
 
 def compute_infinitesimal(gradients: Array) -> Array:
-    """Compute (grad u + grad u^T) / 2 from du_c / dx_j, (n, 2, 2): xx, yy, xy, (n, 3)."""
+    """Compute (grad u + grad u^T) / 2 from du_c / dx_j, (n, dim, dim): its components, (n, n_components)."""
     return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)))
 
 
 def compute_green_lagrange(gradients: Array) -> Array:
     """Compute (grad u + grad u^T + grad u^T grad u) / 2, which no rotation changes.
 
-    From du_c / dx_j, (n, 2, 2): xx, yy, xy, (n, 3).
+    From du_c / dx_j, (n, dim, dim): its components, (n, n_components).
     """
     return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)
                                    + gradients.transpose(0, 2, 1) @ gradients))
@@ -96,10 +110,9 @@ def compute_green_lagrange(gradients: Array) -> Array:
 def compute_hencky(green_lagrange: Array) -> Array:
     """Compute ln U = ln(1 + 2 E) / 2, Hencky's logarithmic strain, in the axes of the reference image.
 
-    Both are xx, yy, xy, (n, 3); nan where a length would vanish.
+    Both are components, (n, n_components); nan where a length would vanish.
     """
-    tensors = green_lagrange[:, [0, 2, 2, 1]].reshape(-1, 2, 2)
-    values, axes = np.linalg.eigh(tensors)
+    values, axes = np.linalg.eigh(_build_tensors(green_lagrange))
     # ln(1 + 2 E) by way of log1p: strains of 1e-6 keep their digits.
     with np.errstate(invalid="ignore", divide="ignore"):
         logarithms = 0.5 * np.log1p(2.0 * values)
@@ -124,10 +137,6 @@ def compute_von_mises_strain(tensors: Array) -> Array:
     return np.asarray(np.sqrt(4.0 / 3.0 * (first**2 + first * second + second**2)))
 
 
-def _pick_components(tensors: Array) -> Array:
-    return np.stack([tensors[:, 0, 0], tensors[:, 1, 1], tensors[:, 0, 1]], axis=1)
-
-
 def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
     """Take the rotation and the translation that fit best out of a displacement of any size.
 
@@ -139,8 +148,8 @@ def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
     after = after - after.mean(axis=0)
     cosine = (before * after).sum()
     sine = multiply_across(before, after).sum()
-    rotation = build_rotation(np.arctan2(sine, cosine))
-    return np.asarray(after @ rotation - before)
+    rotation = Rotation(float(np.arctan2(sine, cosine)))
+    return np.asarray(rotation.apply_inverse(after) - before)
 
 
 def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
@@ -149,8 +158,8 @@ def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
     Below 1 / that, no factor on the displacement, (n_nodes, 2), of the nodes' unit, turns a corner inside out. Cells
     are plane.
     """
-    one, other = _list_edges(mesh, mesh.nodes)
-    to_one, to_other = _list_edges(mesh, displacement)
+    one, other = list_corner_edges(mesh, mesh.nodes)
+    to_one, to_other = list_corner_edges(mesh, displacement)
     edges = np.stack([one, other], axis=2)
     gradients = np.stack([to_one, to_other], axis=2) @ np.linalg.inv(edges)
     return float(np.linalg.norm(gradients, ord=2, axis=(1, 2)).max())
@@ -161,12 +170,5 @@ def count_folded_cells(mesh: Mesh, moved: Array) -> int:
 
     ``moved`` says where the nodes are, (n_nodes, 2); the mesh's cells are plane and run positively.
     """
-    folded = multiply_across(*_list_edges(mesh, moved)) <= 0
+    folded = multiply_across(*list_corner_edges(mesh, moved)) <= 0
     return int(np.logical_or.reduceat(folded, mesh.offsets[:-1]).sum())
-
-
-def _list_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
-    """Differences of nodal values from each corner of each cell to the next one and to the one before, (n, 2) each."""
-    corners = list_corners(mesh)
-    at_corners = values[corners.nodes]
-    return values[corners.ahead] - at_corners, values[corners.behind] - at_corners

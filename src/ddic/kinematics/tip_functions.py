@@ -12,11 +12,11 @@ from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.kinematics.enriched import EnrichedRegion
-from ddic.mesh.cell_parts import CellParts
-from ddic.mesh.cut_cells import subdivide_cells
+from ddic.mesh.cell_type import CELL_TYPES, T3, CellType
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import evaluate_shapes_at, locate
-from ddic.mesh.mesh import Mesh, pad_cells
+from ddic.mesh.mesh import Mesh, build_mesh, join_meshes, pad_cells
+from ddic.mesh.plane import compute_normals
 from ddic.mesh.quality import measure_cell_size
 
 LONGEST = 2.0
@@ -101,10 +101,8 @@ def _find_ends_inside(mesh: Mesh, line: Array, number: int) -> list[Tip]:
         cell = int(locate(mesh, end[None]).cells[0])
         if cell < 0:
             continue
-        nodes = mesh.cells[cell]
-        nodes = nodes[nodes >= 0]
-        touches = np.isin(mesh.connectivity, nodes)
-        cells = np.flatnonzero(np.logical_or.reduceat(touches, mesh.offsets[:-1])).astype(np.int64)
+        nodes = mesh.get_cell(cell)
+        cells = mesh.find_cells_around(np.isin(np.arange(mesh.n_nodes), nodes))
         ahead = (end - before) / np.linalg.norm(end - before)
         tips.append(Tip(end, ahead, nodes, cells, number, vertex))
     return tips
@@ -128,7 +126,7 @@ def evaluate_tip_functions(tip: Tip, points: Array, on_own_side: Array) -> Array
 def _find_polar(tip: Tip, points: Array) -> tuple[Array, Array]:
     """Distance from the tip, and angle from the direction ahead."""
     x = (points - tip.position) @ tip.ahead
-    y = (points - tip.position) @ np.array([-tip.ahead[1], tip.ahead[0]])
+    y = (points - tip.position) @ compute_normals(tip.ahead)
     return np.hypot(x, y), np.arctan2(y, x)
 
 
@@ -155,7 +153,7 @@ def enrich_at_tips(cut: CutMesh, region: EnrichedRegion, patch: TipPatch) -> tup
 
     kept = np.flatnonzero(~np.isin(cut.cell_of, patch.cell_of)).astype(np.int64)
     nodes_of_tips = np.concatenate([np.repeat(tip.nodes, N_FUNCTIONS * dim) for tip in patch.tips])
-    enriched = EnrichedRegion(_join_meshes(cut.mesh, kept, small.mesh), matrix,
+    enriched = EnrichedRegion(join_meshes([cut.mesh.keep_cells(kept), small.mesh]), matrix,
                               np.concatenate([region.node_of_unknown, nodes_of_tips]),
                               np.concatenate([region.seen_at, nodes_of_tips]))
     return enriched, np.concatenate([cut.cell_of[kept], patch.cell_of[small.cell_of]])
@@ -186,26 +184,65 @@ def _evaluate_products(mesh: Mesh, tip: Tip, shapes: sparse.csr_matrix, points: 
     return sparse.hstack(products).tocsr()
 
 
-def _join_meshes(mesh: Mesh, kept: IntArray, patch: Mesh) -> Mesh:
-    """Some cells of a cut mesh, with the numbers of all its nodes, and then those of a patch."""
-    counts = np.diff(mesh.offsets)[kept]
-    of_kept = mesh.cells[kept]
-    connectivity = np.concatenate([of_kept[of_kept >= 0], mesh.n_nodes + patch.connectivity])
-    offsets = np.concatenate([[0], np.cumsum(np.concatenate([counts, np.diff(patch.offsets)]))]).astype(np.int64)
-    return Mesh(np.concatenate([mesh.nodes, patch.nodes]), connectivity, offsets,
-                np.concatenate([mesh.types[kept], patch.types]), mesh.node_sets, mesh.mapping,
-                _join_parts(mesh, kept, patch))
+def subdivide_cells(mesh: Mesh, cells: IntArray, longest: float) -> tuple[Mesh, IntArray]:
+    """Cut whole T3 and Q4 cells into small ones; nodes on a side that two cells share are there twice.
+
+    No side of a small cell is longer than ``longest`` pixels where cells are parallelograms. Gives the mesh of the
+    small cells, and the cell that each of them lies in.
+    """
+    blocks: list[tuple[CellType, IntArray]] = []
+    nodes: list[Array] = []
+    cell_of: list[IntArray] = []
+    n_nodes = 0
+    for cell in cells:
+        cell_type = CELL_TYPES[int(mesh.types[cell])]
+        corners = mesh.nodes[mesh.get_cell(cell)]
+        sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        n = max(1, int(np.ceil(sides.max() / longest)))
+        subdivide = _subdivide_triangle if cell_type is T3 else _subdivide_quadrilateral
+        points, small = subdivide(corners, n)
+        blocks.append((cell_type, small + n_nodes))
+        nodes.append(points)
+        cell_of.append(np.full(len(small), cell, dtype=np.int64))
+        n_nodes += len(points)
+    return build_mesh(np.concatenate(nodes), blocks), np.concatenate(cell_of)
 
 
-def _join_parts(mesh: Mesh, kept: IntArray, patch: Mesh) -> CellParts:
-    """Parts of the kept cells, then those of the patch."""
-    if mesh.parts is None:
-        raise ValueError("no line cuts the mesh")
-    ours, theirs = mesh.parts.restrict(kept), patch.parts
-    if theirs is None:
-        return ours
-    return CellParts(np.concatenate([ours.cells, len(kept) + theirs.cells]),
-                     np.concatenate([ours.offsets, ours.offsets[-1] + theirs.offsets[1:]]),
-                     np.concatenate([ours.corners, theirs.corners]),
-                     np.concatenate([ours.first_numbers, len(mesh.parts.corners) + theirs.first_numbers]),
-                     ours.lines)
+def _subdivide_quadrilateral(corners: Array, n: int) -> tuple[Array, IntArray]:
+    """Nodes ((n + 1)^2, 2) and cells (n^2, 4) of a grid in a quadrilateral, of n cells a side."""
+    shares = np.arange(n + 1) / n
+    below = _divide(corners[0], corners[1], shares)
+    above = _divide(corners[3], corners[2], shares)
+    rows = _divide(below, above, shares)
+    numbers = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    cells = np.stack([numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, 1:], numbers[1:, :-1]], axis=-1)
+    return rows.reshape(-1, 2), cells.reshape(-1, 4)
+
+
+def _subdivide_triangle(corners: Array, n: int) -> tuple[Array, IntArray]:
+    """Nodes and cells (n^2, 3) of a grid in a triangle, of n cells a side."""
+    left = _divide(corners[0], corners[2], np.arange(n + 1) / n)
+    right = _divide(corners[1], corners[2], np.arange(n + 1) / n)
+    # One cell fewer in each row; the last is the triangle's third corner alone.
+    n_of_rows = range(n, -1, -1)
+    rows = [_divide(left[k], right[k], np.arange(n_of_row + 1) / max(n_of_row, 1))
+            for k, n_of_row in enumerate(n_of_rows)]
+    first = np.cumsum([0, *(len(row) for row in rows)])
+    cells = []
+    for k in range(n):
+        here, beyond = first[k], first[k + 1]
+        for i in range(n_of_rows[k]):
+            cells.append([here + i, here + i + 1, beyond + i])
+            if i + 1 < n_of_rows[k]:
+                # Between two of those, the other way up.
+                cells.append([here + i + 1, beyond + i + 1, beyond + i])
+    return np.concatenate(rows), np.array(cells, dtype=np.int64)
+
+
+def _divide(start: Array, end: Array, shares: Array) -> Array:
+    """Points at shares of the way from start to end, one after the other: (n_shares, *start.shape).
+
+    They lie exactly on a way along an axis and at its ends: a pixel there would else count twice, or not at all.
+    """
+    along = np.expand_dims(shares, tuple(range(1, start.ndim + 1)))
+    return np.asarray(np.where(along == 1.0, end, start + along * (end - start)))

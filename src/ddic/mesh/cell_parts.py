@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,17 @@ TRIANGLE_POINTS = np.array([[1 - 2 * x, x, x] for x in (_A, _B)] + [[x, 1 - 2 * 
                            + [[x, x, 1 - 2 * x] for x in (_A, _B)])
 TRIANGLE_WEIGHTS = np.tile([0.223381589678011, 0.109951743655322], 3)
 """Six points of a triangle, by their shares of its corners, and their weights: exact for polynomials of degree 4."""
+
+
+def find_offsets(counts: IntArray) -> IntArray:
+    """Find where each of some lists begins that follow each other, and where the last one ends, from their lengths."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def list_ranges(first: IntArray, counts: IntArray) -> IntArray:
+    """List numbers range after range: ``counts`` of them each, from the ``first`` on."""
+    begins = np.cumsum(counts) - counts
+    return np.asarray(np.arange(counts.sum()) + np.repeat(first - begins, counts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,27 +85,24 @@ class CellParts:
         is_part[is_part] = self.cells[found[is_part]] == cells[is_part]
         kept = found[is_part]
         counts = np.diff(self.offsets)[kept]
-        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        places = np.arange(offsets[-1]) + np.repeat(self.offsets[kept] - offsets[:-1], counts)
-        return CellParts(np.flatnonzero(is_part).astype(np.int64), offsets, self.corners[places],
+        corners = self.corners[list_ranges(self.offsets[kept], counts)]
+        return CellParts(np.flatnonzero(is_part).astype(np.int64), find_offsets(counts), corners,
                          self.first_numbers[kept], self.lines)
 
 
-def join_cell_parts(parts: Sequence[CellParts], first_cells: Sequence[int]) -> CellParts:
+def join_cell_parts(of_meshes: Sequence[tuple[CellParts, int]]) -> CellParts:
     """Put the parts of several meshes, cut by the same lines, into one list, as ``join_meshes`` does with their cells.
 
-    ``first_cells`` are the numbers that the first cell of each mesh takes.
+    Beside the parts of each mesh is the number that its first cell takes. Corners are numbered anew.
     """
-    counts = np.concatenate([np.diff(of_mesh.offsets) for of_mesh in parts])
-    return CellParts(np.concatenate([of_mesh.cells + first for of_mesh, first in zip(parts, first_cells, strict=True)]),
-                     np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-                     np.concatenate([of_mesh.corners for of_mesh in parts]),
-                     np.concatenate([of_mesh.first_numbers for of_mesh in parts]), parts[0].lines)
+    cells = np.concatenate([parts.cells + first_cell for parts, first_cell in of_meshes])
+    offsets = find_offsets(np.concatenate([np.diff(parts.offsets) for parts, _ in of_meshes]))
+    corners = np.concatenate([parts.corners for parts, _ in of_meshes])
+    return CellParts(cells, offsets, corners, offsets[:-1], of_meshes[0][0].lines)
 
 
-@dataclass(frozen=True, eq=False)
-class Outlines:
-    """What each cell covers, as convex polygons in the form of a mesh's arrays.
+class Outlines(NamedTuple):
+    """What each cell covers: in the plane a convex polygon. The one way from cells to places, which kernels take too.
 
     Attributes
     ----------
@@ -109,20 +118,22 @@ class Outlines:
     connectivity: IntArray
     offsets: IntArray
 
+    def find_boxes(self) -> tuple[Array, Array]:
+        """Find the lowest and the highest coordinates of each cell's corners, (n_cells, 2) each, pixels."""
+        at_corners = self.corners[self.connectivity]
+        return (np.minimum.reduceat(at_corners, self.offsets[:-1], axis=0),
+                np.maximum.reduceat(at_corners, self.offsets[:-1], axis=0))
+
 
 def join_parts(whole: Outlines, parts: CellParts) -> Outlines:
     """Put the outlines of parts in place of those of the cells that they are parts of."""
-    counts = np.diff(whole.offsets)
-    is_part = np.zeros(len(counts), dtype=bool)
-    is_part[parts.cells] = True
-    kept = whole.connectivity[~np.repeat(is_part, counts)]
+    first, counts = whole.offsets[:-1].copy(), np.diff(whole.offsets)
+    # Those of parts are listed after those of all cells.
+    first[parts.cells] = len(whole.connectivity) + parts.offsets[:-1]
     counts[parts.cells] = np.diff(parts.offsets)
-    connectivity = np.empty(counts.sum(), dtype=np.int64)
-    of_part = np.repeat(is_part, counts)
-    connectivity[~of_part] = kept
-    connectivity[of_part] = len(whole.corners) + np.arange(len(parts.corners))
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return Outlines(np.concatenate([whole.corners, parts.corners]), connectivity, offsets)
+    of_both = np.concatenate([whole.connectivity, len(whole.corners) + np.arange(len(parts.corners))])
+    connectivity = of_both[list_ranges(first, counts)]
+    return Outlines(np.concatenate([whole.corners, parts.corners]), connectivity, find_offsets(counts))
 
 
 def place_quadrature_points(parts: CellParts) -> tuple[Array, Array, IntArray]:
@@ -131,12 +142,10 @@ def place_quadrature_points(parts: CellParts) -> tuple[Array, Array, IntArray]:
     Gives points, (n, 2), pixels, their weights, which are areas in square pixels, and the number of the part of each,
     sorted. Outlines are convex.
     """
-    n_corners = np.diff(parts.offsets)
-    numbers = np.repeat(np.arange(len(parts.cells)), n_corners - 2)
-    first_triangle = np.cumsum(n_corners - 2) - (n_corners - 2)
-    place = np.arange(len(numbers)) - first_triangle[numbers]
-    apex = parts.offsets[numbers]
-    triangles = parts.corners[np.stack([apex, apex + place + 1, apex + place + 2], axis=1)]
+    n_triangles = np.diff(parts.offsets) - 2
+    numbers = np.repeat(np.arange(len(parts.cells)), n_triangles)
+    apex, second = parts.offsets[numbers], list_ranges(parts.offsets[:-1] + 1, n_triangles)
+    triangles = parts.corners[np.stack([apex, second, second + 1], axis=1)]
     areas = 0.5 * multiply_across(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     points = np.einsum("pa,tac->tpc", TRIANGLE_POINTS, triangles).reshape(-1, 2)
     weights = (areas[:, None] * TRIANGLE_WEIGHTS).ravel()

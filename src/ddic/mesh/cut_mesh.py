@@ -6,20 +6,121 @@ ahead of a line's end the support hangs together, hence nothing opens there. Eac
 or a phantom of it, which lies on the other side of a line; a point on its own side is found for each node.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
 from ddic.arrays import Array, IntArray
-from ddic.mesh.cell_parts import CellParts, Lines
-from ddic.mesh.cut_cells import CellPolygon, find_chords
+from ddic.mesh.cell_parts import CellParts, Lines, find_offsets
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import measure_distance
+from ddic.mesh.plane import compute_normals, measure_distance, multiply_across
 from ddic.mesh.topology import find_facets
 
-SHORTEST = 1e-9
+INNER = -1
+"""In place of a side or a node of the cell: an edge along a chord, a corner where a chord ends."""
+
+SHORTEST_CHORD = 1e-9
+"""Length, pixels, below which a chord in a polygon cuts nothing off."""
+
+@dataclass(frozen=True, eq=False)
+class CellPolygon:
+    """A convex polygon that is a cell, or a part of one.
+
+    Attributes
+    ----------
+    corners : (n, 2) array
+        In positive order, pixels.
+    nodes : tuple of int
+        Place in the cell of the node at each corner, INNER where there is none.
+    sides : tuple of int
+        Side of the cell on which the edge from each corner to the next lies, INNER where it is along a chord.
+    """
+
+    corners: Array
+    nodes: tuple[int, ...]
+    sides: tuple[int, ...]
+
+    def cut(self, chord: Array) -> tuple[CellPolygon, ...]:
+        """Cut the polygon straight from end to end of a chord of its cell, whatever its bends.
+
+        Gives the part to the right and the part to the left of the chord; the polygon itself where the chord misses it.
+        """
+        along = chord[-1] - chord[0]
+        length = float(np.linalg.norm(along))
+        if length <= SHORTEST_CHORD:
+            # A line that turns back where it enters.
+            return (self,)
+        heights = multiply_across(along / length, self.corners - chord[0])
+        if heights.max() <= SHORTEST_CHORD or heights.min() >= -SHORTEST_CHORD:
+            return (self,)
+        return self._keep(-heights), self._keep(heights)
+
+    def _keep(self, heights: Array) -> CellPolygon:
+        """The part where heights, of the corners above a line, are positive."""
+        corners, nodes, sides = [], [], []
+        for k, here in enumerate(heights):
+            following = (k + 1) % len(heights)
+            there = heights[following]
+            if here > 0:
+                corners.append(self.corners[k])
+                nodes.append(self.nodes[k])
+                sides.append(self.sides[k])
+            if (here > 0) != (there > 0):
+                # In the same order from either side, hence the same number for both parts and for the next cell.
+                low, high = sorted((k, following), key=lambda n: tuple(self.corners[n]))
+                share = heights[low] / (heights[low] - heights[high])
+                corners.append(self.corners[low] + share * (self.corners[high] - self.corners[low]))
+                nodes.append(INNER)
+                # Where the outline leaves the part, its next edge runs along the chord.
+                sides.append(INNER if here > 0 else self.sides[k])
+        return CellPolygon(np.array(corners), tuple(nodes), tuple(sides))
+
+
+def find_chords(corners: Array, line: Array) -> list[Array]:
+    """Find where a polyline crosses a convex cell from side to side; an end inside the cell cuts nothing.
+
+    Gives the pieces of the line in the cell, (n, 2) each, one after the other: their ends lie on its outline. The
+    cell's corners are in positive order, and no vertex of the line lies on its outline; both are pixels.
+    """
+    chords = []
+    edges = np.roll(corners, -1, axis=0) - corners
+    is_inside = bool((multiply_across(edges, line[0] - corners) > 0).all())
+    # Empty until the line has entered the cell.
+    piece: list[Array] = []
+    for start, end in pairwise(line):
+        for _, point in sorted(_cross_outline(corners, start, end), key=lambda crossing: crossing[0]):
+            is_inside = not is_inside
+            if is_inside:
+                piece = [point]
+            elif piece:
+                chords.append(np.array([*piece, point]))
+        if piece:
+            piece.append(end)
+    return chords
+
+
+def _cross_outline(corners: Array, start: Array, end: Array) -> list[tuple[float, Array]]:
+    """Where a segment crosses the cell's sides: share of its length, and the point."""
+    crossings = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        # In the same order from either cell, so that both find the same point.
+        low, high = sorted((a, b), key=tuple)
+        of_low = float(multiply_across(end - start, low - start))
+        of_high = float(multiply_across(end - start, high - start))
+        if (of_low > 0) == (of_high > 0):
+            continue
+        point = low + of_low / (of_low - of_high) * (high - low)
+        along = float((point - start) @ (end - start) / ((end - start) @ (end - start)))
+        if 0 <= along < 1:
+            crossings.append((along, point))
+    return crossings
+
+
+SHORTEST_TOUCH = 1e-9
 """Share of a side by which two parts must touch to hang together."""
 
 Parts = Mapping[int, Sequence[CellPolygon]]
@@ -28,23 +129,26 @@ Parts = Mapping[int, Sequence[CellPolygon]]
 Unit = tuple[int, int]
 """A cell and the place of one of its parts; place 0 stands for the whole of a cell that is not cut."""
 
+Member = tuple[int, Unit]
+"""A node, and one of the units around it."""
 
-def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
+
+def number_nodes(mesh: Mesh, parts: Parts) -> dict[Member, int]:
     """Number the nodes of all parts, by node of the whole mesh and part; phantoms come after the mesh's nodes.
 
     Around a node, parts hang together that share a piece of a side, or the node itself. Those that hang together with
     the node have it, each other such group has a phantom.
     """
-    cut_nodes = np.unique(np.concatenate([get_nodes(mesh, cell) for cell in parts]))
+    cut_nodes = np.unique(np.concatenate([mesh.get_cell(cell) for cell in parts]))
     around = _find_cells_around(mesh, cut_nodes)
     groups = _group_units(mesh, parts, around)
-    numbers: dict[tuple[int, Unit], int] = {}
+    numbers: dict[Member, int] = {}
     next_phantom = mesh.n_nodes
     for node, cells in around.items():
         units = _list_units(cells, parts)
-        of_group = {groups.find((node, unit)): node for unit in units if _holds_node(mesh, parts, unit, node)}
+        of_group = {groups[node, unit]: node for unit in units if _holds_node(mesh, parts, unit, node)}
         for unit in units:
-            group = groups.find((node, unit))
+            group = groups[node, unit]
             if group not in of_group:
                 of_group[group] = next_phantom
                 next_phantom += 1
@@ -52,45 +156,24 @@ def number_nodes(mesh: Mesh, parts: Parts) -> dict[tuple[int, Unit], int]:
     return numbers
 
 
-def get_nodes(mesh: Mesh, cell: int) -> IntArray:
-    """Give the nodes of a cell, in the cell's order."""
-    return mesh.connectivity[mesh.offsets[cell]:mesh.offsets[cell + 1]]
+def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) -> dict[Member, Member]:
+    """Group the parts that hang together, around each of the nodes for itself: which member stands for each."""
+    # Here, for it brings a tenth of a second of scipy's imports, and runs without discontinuities do without.
+    from scipy.cluster.hierarchy import DisjointSet
 
-
-class _Groups:
-    """Parts around nodes, (node, part), joined two by two."""
-
-    def __init__(self) -> None:
-        self._parent: dict[tuple[int, Unit], tuple[int, Unit]] = {}
-
-    def find(self, member: tuple[int, Unit]) -> tuple[int, Unit]:
-        """The one that stands for a member's group."""
-        root = member
-        while self._parent.setdefault(root, root) != root:
-            root = self._parent[root]
-        self._parent[member] = root
-        return root
-
-    def join(self, one: tuple[int, Unit], other: tuple[int, Unit]) -> None:
-        """Make one group of those of two members."""
-        self._parent[self.find(one)] = self.find(other)
-
-
-def _group_units(mesh: Mesh, parts: Parts, around: Mapping[int, Sequence[int]]) -> _Groups:
-    """Parts that hang together, around each of the nodes for itself."""
-    groups = _Groups()
+    groups = DisjointSet((node, unit) for node, cells in around.items() for unit in _list_units(cells, parts))
     for node, cells in around.items():
         holding = [unit for unit in _list_units(cells, parts) if _holds_node(mesh, parts, unit, node)]
         for unit in holding:
-            groups.join((node, unit), (node, holding[0]))
+            groups.merge((node, unit), (node, holding[0]))
     cells_around = np.unique(np.concatenate([np.asarray(cells, np.int64) for cells in around.values()]))
     for cell, neighbour, facet in _list_shared_facets(mesh, cells_around):
-        for one in _list_units([cell], parts):
-            for other in _list_units([neighbour], parts):
-                if _touch(_find_reach(mesh, parts, one, facet), _find_reach(mesh, parts, other, facet)):
-                    for node in facet:
-                        groups.join((node, one), (node, other))
-    return groups
+        for one, other in product(_list_units([cell], parts), _list_units([neighbour], parts)):
+            reaches = [_find_reach(mesh, parts, unit, facet) for unit in (one, other)]
+            touch = min(end for _, end in reaches) - max(start for start, _ in reaches) > SHORTEST_TOUCH
+            for node in around.keys() & set(facet) if touch else ():
+                groups.merge((node, one), (node, other))
+    return {member: groups[member] for member in groups}
 
 
 def _find_cells_around(mesh: Mesh, nodes: IntArray) -> dict[int, list[int]]:
@@ -113,7 +196,7 @@ def _holds_node(mesh: Mesh, parts: Parts, unit: Unit, node: int) -> bool:
     cell, place = unit
     if cell not in parts:
         return True
-    in_cell = get_nodes(mesh, cell).tolist().index(node)
+    in_cell = mesh.get_cell(cell).tolist().index(node)
     return in_cell in parts[cell][place].nodes
 
 
@@ -135,7 +218,7 @@ def _find_reach(mesh: Mesh, parts: Parts, unit: Unit, facet: tuple[int, int]) ->
     cell, place = unit
     if cell not in parts:
         return 0.0, 1.0
-    nodes = get_nodes(mesh, cell).tolist()
+    nodes = mesh.get_cell(cell).tolist()
     side = next(k for k in range(len(nodes)) if {nodes[k], nodes[(k + 1) % len(nodes)]} == set(facet))
     polygon = parts[cell][place]
     if side not in polygon.sides:
@@ -145,10 +228,6 @@ def _find_reach(mesh: Mesh, parts: Parts, unit: Unit, facet: tuple[int, int]) ->
     start, end = mesh.nodes[list(facet)]
     shares = (ends - start) @ (end - start) / ((end - start) @ (end - start))
     return float(shares.min()), float(shares.max())
-
-
-def _touch(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    return min(one[1], other[1]) - max(one[0], other[0]) > SHORTEST
 
 
 CLEARANCE = 1e-3
@@ -195,9 +274,7 @@ class CutMesh:
 
     def find_cells_at_phantoms(self) -> IntArray:
         """Find the cells with a phantom node, or a node that has one: sorted numbers in the cut mesh."""
-        has_twin = np.bincount(self.node_of)[self.node_of] > 1
-        of_corners = has_twin[self.mesh.connectivity]
-        return np.flatnonzero(np.logical_or.reduceat(of_corners, self.mesh.offsets[:-1])).astype(np.int64)
+        return self.mesh.find_cells_around(np.bincount(self.node_of)[self.node_of] > 1)
 
 
 def cut_mesh(mesh: Mesh, lines: Sequence[Array], other_nodes: Array | None = None) -> CutMesh:
@@ -222,7 +299,7 @@ def is_cut_by(mesh: Mesh, line: Array) -> bool:
 def _keep_clear(line: Array, nodes: Array) -> Array:
     """The line, moved as little as keeps it clear of all nodes."""
     direction = line[-1] - line[0]
-    normal = np.array([-direction[1], direction[0]]) / max(float(np.linalg.norm(direction)), CLEARANCE)
+    normal = compute_normals(direction) / max(float(np.linalg.norm(direction)), CLEARANCE)
     low, high = line.min(axis=0) - 1, line.max(axis=0) + 1
     near = nodes[((nodes >= low) & (nodes <= high)).all(axis=1)]
     for n_moves in range(MOST_MOVES):
@@ -239,13 +316,14 @@ def _cut_cells(mesh: Mesh, lines: Sequence[Array]) -> tuple[dict[int, list[CellP
     found: dict[int, list[CellPolygon]] = {}
     bends: list[Array] = []
     for cell in _find_touched_cells(mesh, lines):
-        corners = mesh.nodes[get_nodes(mesh, int(cell))]
-        parts: list[CellPolygon] = [CellPolygon.of_cell(corners)]
+        corners = mesh.nodes[mesh.get_cell(int(cell))]
+        numbers = tuple(range(len(corners)))
+        parts: list[CellPolygon] = [CellPolygon(corners, numbers, numbers)]
         for line in lines:
             for chord in find_chords(corners, line):
                 parts = [piece for part in parts for piece in part.cut(chord)]
-                if len(chord.bends):
-                    bends.append(np.vstack([chord.start, chord.bends, chord.end]))
+                if len(chord) > 2:
+                    bends.append(chord)
         if len(parts) > 1:
             found[int(cell)] = parts
     return found, tuple(bends)
@@ -254,14 +332,12 @@ def _cut_cells(mesh: Mesh, lines: Sequence[Array]) -> tuple[dict[int, list[CellP
 def _find_touched_cells(mesh: Mesh, lines: Sequence[Array]) -> IntArray:
     """Cells whose box a segment's box meets and that have corners on both sides of the segment."""
     corners = mesh.nodes[mesh.connectivity]
-    low = np.minimum.reduceat(corners, mesh.offsets[:-1], axis=0)
-    high = np.maximum.reduceat(corners, mesh.offsets[:-1], axis=0)
+    low, high = mesh.whole_outlines.find_boxes()
     touched = np.zeros(mesh.n_cells, dtype=bool)
     for line in lines:
         for start, end in pairwise(line):
             meets = ((low <= np.maximum(start, end)) & (high >= np.minimum(start, end))).all(axis=1)
-            normal = np.array([start[1] - end[1], end[0] - start[0]])
-            heights = (corners - start) @ normal
+            heights = (corners - start) @ compute_normals(end - start)
             lowest = np.minimum.reduceat(heights, mesh.offsets[:-1])
             highest = np.maximum.reduceat(heights, mesh.offsets[:-1])
             touched |= meets & (lowest <= 0) & (highest >= 0)
@@ -276,32 +352,23 @@ def _replace_cut_cells(mesh: Mesh, parts: Mapping[int, Sequence[CellPolygon]], l
     for (node, _), number in numbers.items():
         node_of[number] = node
 
-    first: list[Unit] = [(cell, 0) for cell in parts]
     others: list[Unit] = [(cell, place) for cell in parts for place in range(1, len(parts[cell]))]
-    cell_of = np.concatenate([np.arange(mesh.n_cells), np.array([cell for cell, _ in others], np.int64)])
-    place_of_unit = dict(zip(first, parts, strict=True))
-    place_of_unit |= dict(zip(others, range(mesh.n_cells, len(cell_of)), strict=True))
+    units = [*((cell, 0) for cell in parts), *others]
+    cell_of = np.array([*range(mesh.n_cells), *(cell for cell, _ in others)], np.int64)
+    # Of each unit the number of its cell, which rise: cut cells are known in order.
+    places = np.array([*parts, *range(mesh.n_cells, len(cell_of))], np.int64)
 
     cells = mesh.cells[cell_of]
-    for unit, place in place_of_unit.items():
-        own = get_nodes(mesh, unit[0]).tolist()
+    for unit, place in zip(units, places, strict=True):
+        own = mesh.get_cell(unit[0]).tolist()
         cells[place, :len(own)] = [numbers[node, unit] for node in own]
-    counts = np.diff(mesh.offsets)[cell_of]
+    outlines = [parts[cell][place].corners for cell, place in units]
+    corner_offsets = find_offsets(np.array([len(outline) for outline in outlines]))
     sets = {name: np.flatnonzero(np.isin(node_of, members)) for name, members in mesh.node_sets.items()}
     cut = replace(mesh, nodes=mesh.nodes[node_of], connectivity=cells[cells >= 0],
-                  offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), types=mesh.types[cell_of],
-                  node_sets=sets, parts=_outline_parts(parts, place_of_unit, lines))
+                  offsets=find_offsets(np.diff(mesh.offsets)[cell_of]), types=mesh.types[cell_of], node_sets=sets,
+                  parts=CellParts(places, corner_offsets, np.concatenate(outlines), corner_offsets[:-1], lines))
     return CutMesh(cut, node_of, cell_of)
-
-
-def _outline_parts(parts: Parts, place_of_unit: Mapping[Unit, int], lines: Lines) -> CellParts:
-    """Outlines of all parts in the order of their places in the mesh."""
-    units = sorted(place_of_unit, key=lambda unit: place_of_unit[unit])
-    outlines = [parts[cell][place].corners for cell, place in units]
-    offsets = np.concatenate([[0], np.cumsum([len(outline) for outline in outlines])]).astype(np.int64)
-    places = np.array([place_of_unit[unit] for unit in units], np.int64)
-    corners = np.concatenate([np.zeros((0, 2)), *outlines])
-    return CellParts(places, offsets, corners, offsets[:-1], lines)
 
 
 def find_points_on_own_side(mesh: Mesh) -> Array:
@@ -316,8 +383,7 @@ def find_points_on_own_side(mesh: Mesh) -> Array:
     least = np.full(mesh.n_nodes, np.inf)
     for number, cell in enumerate(parts.cells):
         corners = parts.corners[parts.offsets[number]:parts.offsets[number + 1]]
-        own = mesh.cells[cell]
-        for node in own[own >= 0]:
+        for node in mesh.get_cell(cell):
             is_held = (corners == mesh.nodes[node]).all(axis=1).any()
             point = mesh.nodes[node] if is_held else corners.mean(axis=0)
             distance = float(np.linalg.norm(point - mesh.nodes[node]))

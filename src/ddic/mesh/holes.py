@@ -12,17 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
-from ddic.mesh.plane import multiply_across
-
-NO_CORNERS = np.zeros((0, 2))
+from ddic.mesh.plane import is_inside_edges, multiply_across
 
 
 class Hole(Protocol):
     """A closed outline in the plane."""
-
-    @property
-    def corners(self) -> Array:
-        """Points of the outline at which a node is to lie, (n, 2), pixels."""
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance of points, (n, 2), to the outline, (n,), pixels, negative inside."""
@@ -43,11 +37,6 @@ class CircularHole:
 
     center: tuple[float, float]
     radius: float
-
-    @property
-    def corners(self) -> Array:
-        """None, (0, 2)."""
-        return NO_CORNERS
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the circle, pixels, negative inside."""
@@ -73,21 +62,16 @@ class PolygonalHole:
 
     vertices: Array
 
-    @property
-    def corners(self) -> Array:
-        """None, (0, 2): nodes go to the nearest point of a side."""
-        return NO_CORNERS
-
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the polygon, pixels, negative inside."""
         away = np.linalg.norm(self.find_nearest(points) - points, axis=1)
-        return np.where(self._inside(points), -away, away)
+        return np.where(is_inside_edges(points, self._edges), -away, away)
 
     def find_nearest(self, points: Array) -> Array:
         """Find the nearest point of the polygon."""
         best = np.array(points, dtype=np.float64)
         smallest = np.full(len(points), np.inf)
-        for start, end in self._edges():
+        for start, end in self._edges:
             edge = end - start
             # An edge of no length has its start as its nearest point.
             square = max(edge @ edge, np.finfo(float).tiny)
@@ -98,20 +82,11 @@ class PolygonalHole:
             best[closer], smallest[closer] = candidate[closer], away[closer]
         return best
 
-    def _inside(self, points: Array) -> BoolArray:
-        """Whether a ray to the right crosses the polygon an odd number of times, (n,)."""
-        x, y = points.T
-        inside = np.zeros(len(points), dtype=bool)
-        for (xa, ya), (xb, yb) in self._edges():
-            spans = (ya > y) != (yb > y)
-            height = yb - ya if yb != ya else 1.0
-            inside ^= spans & (x < xa + (y - ya) * (xb - xa) / height)
-        return inside
-
-    def _edges(self) -> list[tuple[Array, Array]]:
-        """Start and end of each edge, pixels."""
+    @property
+    def _edges(self) -> Array:
+        """Start and end of each edge, (n, 2, 2), pixels."""
         corners = np.asarray(self.vertices, dtype=np.float64)
-        return list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
+        return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
 STRAIGHT_PX = 0.8
@@ -131,7 +106,7 @@ class OutlinedHole:
     rings : tuple of PolygonalHole
         Closed polygons; inside is what an odd number of them holds.
     corners : (n, 2) array
-        Where they turn sharply, pixels.
+        Where they turn sharply, pixels: a node is to lie at each. In other holes nodes go to the nearest points.
     """
 
     rings: tuple[PolygonalHole, ...]

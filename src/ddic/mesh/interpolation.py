@@ -12,7 +12,7 @@ import numpy as np
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.cell_type import N_MONOMIALS, differentiate_monomials, evaluate_monomials
 from ddic.mesh.mesh import Mesh, compute_geometry, pad_shapes
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.plane import is_inside_edges, multiply_across
 from ddic.mesh.topology import find_boundary_facets
 
 EDGE = 1e-6
@@ -42,14 +42,6 @@ class Located:
 
     cells: IntArray
     local: Array
-
-
-class _Polygons(NamedTuple):
-    """A mesh's arrays, as the kernels take them."""
-
-    nodes: Array
-    connectivity: IntArray
-    offsets: IntArray
 
 
 class _Buckets(NamedTuple):
@@ -133,9 +125,7 @@ def locate(mesh: Mesh, points: Array) -> Located:
     points = np.ascontiguousarray(points, dtype=np.float64)
     cells = np.full(len(points), -1, dtype=np.int64)
     if mesh.n_cells:
-        outlines = mesh.outlines
-        polygons = _Polygons(outlines.corners, outlines.connectivity, outlines.offsets)
-        _find_cells(points, polygons, _sort_into_buckets(mesh), EDGE, cells)
+        _find_cells(points, mesh.outlines, _sort_into_buckets(mesh), EDGE, cells)
     return place_in_cells(mesh, cells, points)
 
 
@@ -149,10 +139,8 @@ def place_in_cells(mesh: Mesh, cells: IntArray, points: Array) -> Located:
 
 def _sort_into_buckets(mesh: Mesh) -> _Buckets:
     """Sort a mesh's cells into a grid of about as many squares."""
-    outlines = mesh.outlines
-    corners = outlines.corners[outlines.connectivity]
-    lowest = np.minimum.reduceat(corners, outlines.offsets[:-1], axis=0) - EDGE
-    highest = np.maximum.reduceat(corners, outlines.offsets[:-1], axis=0) + EDGE
+    lowest, highest = mesh.outlines.find_boxes()
+    lowest, highest = lowest - EDGE, highest + EDGE
     low, high = lowest.min(axis=0), highest.max(axis=0)
     width, height = high - low
     size = float(np.sqrt(width * height * CELLS_A_BUCKET / mesh.n_cells))
@@ -185,14 +173,14 @@ def _fill_buckets(begin, end, columns, rows):  # type: ignore[no-untyped-def]
 
 # A damaged result may hold an edge between two nodes at one place: 0 / 0 is nan, and its cell holds no point.
 @numba.njit(cache=True, error_model="numpy")
-def _depth(x, y, e, polygons):  # type: ignore[no-untyped-def]
+def _depth(x, y, e, outlines):  # type: ignore[no-untyped-def]
     """Least signed distance of a point from the lines through a convex cell's edges, positive inside."""
-    nodes = polygons.nodes
-    begin, end = polygons.offsets[e], polygons.offsets[e + 1]
+    nodes = outlines.corners
+    begin, end = outlines.offsets[e], outlines.offsets[e + 1]
     least = np.inf
-    b = polygons.connectivity[end - 1]
+    b = outlines.connectivity[end - 1]
     for i in range(begin, end):
-        a, b = b, polygons.connectivity[i]
+        a, b = b, outlines.connectivity[i]
         along_x, along_y = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1]
         across = along_x * (y - nodes[a, 1]) - along_y * (x - nodes[a, 0])
         least = min(least, across / np.sqrt(along_x * along_x + along_y * along_y))
@@ -200,7 +188,7 @@ def _depth(x, y, e, polygons):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _find_cells(points, polygons, buckets, edge, cells):  # type: ignore[no-untyped-def]
+def _find_cells(points, outlines, buckets, edge, cells):  # type: ignore[no-untyped-def]
     """The first cell that holds each point, or else the nearest one within the distance ``edge``."""
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
@@ -212,7 +200,7 @@ def _find_cells(points, polygons, buckets, edge, cells):  # type: ignore[no-unty
         deepest = -edge
         for i in range(buckets.first[bucket], buckets.first[bucket + 1]):
             e = buckets.cells[i]
-            depth = _depth(x, y, e, polygons)
+            depth = _depth(x, y, e, outlines)
             if depth >= deepest:
                 cells[k] = e
                 deepest = depth
@@ -244,26 +232,17 @@ def _find_local_coordinates(points, cells, geometry, local):  # type: ignore[no-
         local[k, 1] = -2.0 * he / (1.0 + hg + s)
 
 
-_CHUNK = 1 << 22
-"""Pairs of a point and an edge that are compared at once; a larger value takes more memory."""
-
-
 def is_inside_outline(points: Array, mesh: Mesh) -> BoolArray:
     """Tell whether points, pixels, lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
 
     Those in its holes do not.
     """
-    ends = find_boundary_facets(mesh)[:, :2]
-    edges = mesh.nodes[ends]
+    edges = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     # Points outside the bounding box need no ray.
-    in_box = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-    inside = np.zeros(len(points), dtype=bool)
-    step = max(1, _CHUNK // max(len(edges), 1))
-    for begin in range(0, len(in_box), step):
-        chunk = in_box[begin: begin + step]
-        inside[chunk] = _count_crossings(points[chunk], edges) % 2 == 1
-    return inside
+    inside = ((points >= low) & (points <= high)).all(axis=1)
+    inside[inside] = is_inside_edges(points[inside], edges)
+    return np.asarray(inside)
 
 
 def find_cells_with_points(mesh: Mesh, points: Array, margin: float) -> IntArray:
@@ -271,38 +250,15 @@ def find_cells_with_points(mesh: Mesh, points: Array, margin: float) -> IntArray
 
     Cells must be convex and run positively.
     """
-    corners = mesh.nodes[mesh.connectivity]
-    lowest = np.minimum.reduceat(corners, mesh.offsets[:-1], axis=0)
-    highest = np.maximum.reduceat(corners, mesh.offsets[:-1], axis=0)
+    lowest, highest = mesh.whole_outlines.find_boxes()
     low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
     near = ((lowest < high) & (highest > low)).all(axis=1)
     found = np.zeros(mesh.n_cells, dtype=bool)
     for cell in np.flatnonzero(near):
         in_box = ((points > lowest[cell]) & (points < highest[cell])).all(axis=1)
-        own_corners = corners[mesh.offsets[cell]: mesh.offsets[cell + 1]]
-        distances = _edge_distances(points[in_box], own_corners)
-        well_inside = (distances > margin).all(axis=1)
-        found[cell] = well_inside.any()
+        corners = mesh.nodes[mesh.get_cell(cell)]
+        along, apart = np.roll(corners, -1, axis=0) - corners, points[in_box][:, None] - corners
+        # Of each point from the lines through the cell's edges, positive inside.
+        distances = multiply_across(along, apart) / np.linalg.norm(along, axis=1)
+        found[cell] = (distances > margin).all(axis=1).any()
     return np.flatnonzero(found).astype(np.int64)
-
-
-def _count_crossings(points: Array, edges: Array) -> IntArray:
-    """How many edges (m, 2 ends, 2) the rays from points (n, 2) to the right cross, (n,)."""
-    x0, y0 = edges[:, 0].T
-    x1, y1 = edges[:, 1].T
-    # Points down the rows, edges along the columns.
-    x, y = points[:, 0, None], points[:, 1, None]
-    # Half-open, so that a ray through a common end crosses one of two edges that go on, and none or both at a tip.
-    spans = (y0 > y) != (y1 > y)
-    height = np.where(y1 == y0, 1.0, y1 - y0)
-    crossing = x0 + (y - y0) * (x1 - x0) / height
-    to_the_right = crossing > x
-    return np.asarray((spans & to_the_right).sum(axis=1))
-
-
-def _edge_distances(points: Array, corners: Array) -> Array:
-    """Signed distances (n, m) of points (n, 2) from the lines through a polygon's edges, positive inside."""
-    along = np.roll(corners, -1, axis=0) - corners
-    apart = points[:, None] - corners
-    length = np.linalg.norm(along, axis=1)
-    return np.asarray(multiply_across(along, apart) / length)

@@ -6,14 +6,14 @@ Geometry of a mesh's cells: maps from the reference cell, and gradients of the s
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
-from ddic.mesh.cell_parts import CellParts, Outlines, join_cell_parts, join_parts
+from ddic.mesh.cell_parts import CellParts, Outlines, find_offsets, join_cell_parts, join_parts
 from ddic.mesh.cell_type import CELL_TYPES, N_MONOMIALS, CellType
 from ddic.mesh.plane import build_rotation
 
@@ -132,6 +132,15 @@ class Mesh:
         padded[np.arange(width) < counts[:, None]] = self.connectivity
         return padded
 
+    def get_cell(self, cell: int) -> IntArray:
+        """Give the nodes of a cell, in the cell's order."""
+        return self.connectivity[self.offsets[cell]:self.offsets[cell + 1]]
+
+    def find_cells_around(self, is_among: BoolArray) -> IntArray:
+        """Find the cells with any of some nodes, (n_nodes,) whether it is one: sorted numbers."""
+        any_is = np.logical_or.reduceat(is_among[self.connectivity], self.offsets[:-1])
+        return np.flatnonzero(any_is).astype(np.int64)
+
     @cached_property
     def cell_blocks(self) -> tuple[CellsOfType, ...]:
         """The cells by type, in order of the types' VTK numbers."""
@@ -148,11 +157,15 @@ class Mesh:
         (family,) = {block.type.family for block in self.cell_blocks}
         return family
 
+    @property
+    def whole_outlines(self) -> Outlines:
+        """The polygon of each cell's nodes."""
+        return Outlines(self.nodes, self.connectivity, self.offsets)
+
     @cached_property
     def outlines(self) -> Outlines:
         """What each cell covers: the polygon of its nodes, or its part of that."""
-        whole = Outlines(self.nodes, self.connectivity, self.offsets)
-        return whole if self.parts is None else join_parts(whole, self.parts)
+        return self.whole_outlines if self.parts is None else join_parts(self.whole_outlines, self.parts)
 
     @cached_property
     def centroids(self) -> Array:
@@ -162,18 +175,7 @@ class Mesh:
         return np.asarray(sums / np.diff(outlines.offsets)[:, None])
 
     def find_cells_among(self, is_among: BoolArray) -> IntArray:
-        """Find the cells whose nodes all are among some.
-
-        Parameters
-        ----------
-        is_among : (n_nodes,) array of bool
-            Which nodes those are.
-
-        Returns
-        -------
-        (n,) int64 array
-            Their sorted numbers.
-        """
+        """Find the cells whose nodes all are among some, (n_nodes,) whether it is one: sorted numbers."""
         all_are = np.logical_and.reduceat(is_among[self.connectivity], self.offsets[:-1])
         return np.flatnonzero(all_are).astype(np.int64)
 
@@ -192,14 +194,18 @@ class Mesh:
         node_ids : (mesh.n_nodes,) int64 array
             Sorted numbers of its nodes in this mesh.
         """
+        kept = self.keep_cells(cells)
+        node_ids, local = _number_used(kept.connectivity, self.n_nodes)
+        sets = {name: np.flatnonzero(np.isin(node_ids, members)) for name, members in self.node_sets.items()}
+        return replace(kept, nodes=self.nodes[node_ids], connectivity=local, node_sets=sets), node_ids
+
+    def keep_cells(self, cells: IntArray) -> Mesh:
+        """Keep some of the cells, numbered in this order, and all nodes."""
         padded = self.cells[cells]
         used = padded >= 0
-        node_ids, local = _number_used(padded[used], self.n_nodes)
-        sets = {name: _restrict(node_ids, members) for name, members in self.node_sets.items()}
         parts = None if self.parts is None else self.parts.restrict(cells)
-        mesh = Mesh(self.nodes[node_ids], local, _offsets(used.sum(axis=1)),
-                    self.types[cells], sets, self.mapping, parts)
-        return mesh, node_ids
+        return replace(self, connectivity=padded[used], offsets=find_offsets(used.sum(axis=1)),
+                       types=self.types[cells], parts=parts)
 
 
 def build_mesh(nodes: Array,
@@ -219,7 +225,7 @@ def build_mesh(nodes: Array,
     return Mesh(
         np.ascontiguousarray(nodes, dtype=np.float64),
         np.concatenate(connectivity),
-        _offsets(np.concatenate(counts)),
+        find_offsets(np.concatenate(counts)),
         np.concatenate(types),
         dict(node_sets or {}),
         mapping or Similarity(),
@@ -230,24 +236,20 @@ def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Put meshes side by side into one, so that what is the same for each cell or node is done once for all.
 
     They are of one region: with one mapping, and cut by the same lines, or not at all. Nodes and cells of one come
-    after those of the other; what two of them share is there twice. There are no node sets.
+    after those of the other; what two of them share is there twice. Node sets are those of the first.
     """
     first, *others = meshes
     if not others:
         return first
     first_nodes = np.cumsum([0, *(mesh.n_nodes for mesh in meshes)])[:-1]
     first_cells = np.cumsum([0, *(mesh.n_cells for mesh in meshes)])[:-1]
-    parts = [mesh.parts for mesh in meshes if mesh.parts is not None]
+    cut = [(mesh.parts, number) for mesh, number in zip(meshes, first_cells, strict=True) if mesh.parts is not None]
     connectivity = [mesh.connectivity + number for mesh, number in zip(meshes, first_nodes, strict=True)]
-    return Mesh(np.concatenate([mesh.nodes for mesh in meshes]), np.concatenate(connectivity),
-                _offsets(np.concatenate([np.diff(mesh.offsets) for mesh in meshes])),
-                np.concatenate([mesh.types for mesh in meshes]), mapping=first.mapping,
-                parts=join_cell_parts(parts, first_cells.tolist()) if parts else None)
-
-
-def _offsets(counts: IntArray) -> IntArray:
-    """Where each cell's nodes begin, from their numbers."""
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return replace(first, nodes=np.concatenate([mesh.nodes for mesh in meshes]),
+                   connectivity=np.concatenate(connectivity),
+                   offsets=find_offsets(np.concatenate([np.diff(mesh.offsets) for mesh in meshes])),
+                   types=np.concatenate([mesh.types for mesh in meshes]),
+                   parts=join_cell_parts(cut) if cut else None)
 
 
 def _number_used(nodes: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
@@ -259,11 +261,6 @@ def _number_used(nodes: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
     is_used = np.zeros(n_nodes, dtype=bool)
     is_used[nodes] = True
     return np.flatnonzero(is_used).astype(np.int64), (np.cumsum(is_used) - 1)[nodes]
-
-
-def _restrict(node_ids: IntArray, members: IntArray) -> IntArray:
-    """Places in node_ids of the members that it holds."""
-    return np.flatnonzero(np.isin(node_ids, members)).astype(np.int64)
 
 
 def pad_shapes(kind: CellType) -> Array:

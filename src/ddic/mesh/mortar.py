@@ -1,6 +1,7 @@
 """Mortar between the edges of two meshes that touch along a line where their nodes need not meet."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -39,8 +40,7 @@ class Sides:
     tolerance: float
 
 
-@dataclass(frozen=True)
-class Overlaps:
+class Overlaps(NamedTuple):
     """Pieces of a line that a far and a near edge have in common.
 
     Attributes
@@ -86,16 +86,10 @@ class Mortar:
 def find_overlaps(sides: Sides) -> Overlaps:
     """Find where far edges run along near edges: their common pieces, in order of the far edges."""
     near = _lines(sides.near_nodes, sides.near_edges)
-    nothing = Overlaps(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-    pieces = [nothing]
+    pieces = [Overlaps(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))]
     for k, ends in enumerate(sides.far_nodes[sides.far_edges]):
         pieces.append(_overlap_edge(k, ends, near, sides.tolerance))
-    return Overlaps(
-        np.concatenate([piece.far for piece in pieces]),
-        np.concatenate([piece.near for piece in pieces]),
-        np.concatenate([piece.near_ends for piece in pieces]),
-        np.concatenate([piece.far_ends for piece in pieces]),
-    )
+    return Overlaps(*(np.concatenate(of_pieces) for of_pieces in zip(*pieces, strict=True)))
 
 
 def integrate_mortar(sides: Sides, pieces: Overlaps) -> Mortar:
@@ -151,7 +145,7 @@ def _overlap_edge(far: int, ends: Array, near: _Lines, tolerance: float) -> Over
     place = (apart * along).sum(axis=2) / length**2
     height = multiply_across(along, apart) / length
     small = tolerance / near.length
-    near_ends = _clip_to_edge(np.sort(place, axis=1), small[:, None])
+    near_ends = _round_to_ends(np.clip(np.sort(place, axis=1), 0.0, 1.0), small[:, None])
     span = place[:, 1] - place[:, 0]
     long_enough = (near_ends[:, 1] - near_ends[:, 0] > small) & (np.abs(span) > small)
     candidates = np.flatnonzero(long_enough)
@@ -166,13 +160,7 @@ def _overlap_edge(far: int, ends: Array, near: _Lines, tolerance: float) -> Over
     return Overlaps(np.full(len(found), far, dtype=np.int64), found, near_ends[close], far_ends)
 
 
-def _clip_to_edge(place: Array, small: Array) -> Array:
-    """Places along an edge cut to 0 and 1, and those that are nearly there put there."""
-    clipped = np.clip(place, 0.0, 1.0)
-    return np.where(clipped < small, 0.0, np.where(clipped > 1.0 - small, 1.0, clipped))
-
-
-def _round_to_ends(place: Array, small: float) -> Array:
+def _round_to_ends(place: Array, small: Array | float) -> Array:
     """Places along an edge, those that are nearly at 0 or 1 put there."""
     return np.where(np.abs(place) < small, 0.0, np.where(np.abs(place - 1.0) < small, 1.0, place))
 

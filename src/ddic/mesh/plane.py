@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,37 @@ def build_rotation(angle: float) -> Array:
     """Build the matrix R that turns a vector v of the plane to R v, from x towards y by an angle in radians."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """A rotation, which in the plane is an angle; who only turns vectors need not know that.
+
+    Attributes
+    ----------
+    angle : float
+        Radians, from x towards y.
+    """
+
+    angle: float
+
+    @property
+    def matrix(self) -> Array:
+        """R, (2, 2)."""
+        return build_rotation(self.angle)
+
+    def apply(self, vectors: Array) -> Array:
+        """Turn vectors, (n, 2)."""
+        return np.asarray(vectors @ self.matrix.T)
+
+    def apply_inverse(self, vectors: Array) -> Array:
+        """Turn vectors, (n, 2), back: the inverse of R is its transpose."""
+        return np.asarray(vectors @ self.matrix)
+
+
+def compute_normals(vectors: Array) -> Array:
+    """Turn vectors, (..., 2), by a right angle from x towards y: normals of a line from its tangents."""
+    return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
 
 
 def multiply_across(a: Array, b: Array) -> Array:
@@ -35,7 +67,6 @@ def build_tree(points: Array) -> cKDTree:
     from scipy.spatial import cKDTree
 
     return cKDTree(points)
-
 
 
 def measure_distance(points: Array, line: Array) -> Array:
@@ -72,6 +103,26 @@ def find_runs(is_kept: BoolArray) -> list[slice]:
     changes = np.flatnonzero(np.diff(np.concatenate([[False], is_kept, [False]])))
     runs = [slice(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
     return [run for run in runs if run.stop - run.start > 1]
+
+
+PAIRS_AT_ONCE = 1 << 22
+"""Pairs of a point and an edge that are compared at once; a larger value takes more memory."""
+
+
+def is_inside_edges(points: Array, edges: Array) -> BoolArray:
+    """Tell which points, (n, 2), a ray to the right of which crosses an odd number of edges, (m, 2 ends, 2)."""
+    (x0, y0), (x1, y1) = edges[:, 0].T, edges[:, 1].T
+    height = np.where(y1 == y0, 1.0, y1 - y0)
+    inside = np.zeros(len(points), dtype=bool)
+    step = max(1, PAIRS_AT_ONCE // max(len(edges), 1))
+    for begin in range(0, len(points), step):
+        # Points down the rows, edges along the columns.
+        x, y = points[begin:begin + step].T[..., None]
+        # Half-open, so that a ray through a common end crosses one of two edges that go on, and none or both at a tip.
+        spans = (y0 > y) != (y1 > y)
+        crossing = x0 + (y - y0) * (x1 - x0) / height
+        inside[begin:begin + step] = (spans & (crossing > x)).sum(axis=1) % 2 == 1
+    return inside
 
 
 def is_inside_polygon(points: Array, polygon: Array) -> BoolArray:

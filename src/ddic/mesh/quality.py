@@ -1,22 +1,22 @@
 """Area and shape of plane cells, whose nodes are the corners of a polygon.
 
-Areas of what cells cover: of whole cells, or of parts on one side of a discontinuity.
+Areas of what cells cover: of whole cells, or of parts on one side of a discontinuity. Corners of cells, each with its
+neighbours along the cell's edges.
 """
+
+from dataclasses import dataclass
 
 import numba
 import numpy as np
 
-from ddic.arrays import Array
+from ddic.arrays import Array, IntArray
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 
 
 def measure_areas(mesh: Mesh) -> Array:
-    """Measure the cells by the shoelace formula in (x, y): signed areas, square pixels."""
-    points = _corners(mesh)
-    # Relative to the first corner, so that far from the origin no digits are lost.
-    local = points - points[:, :1]
-    return np.asarray(0.5 * multiply_across(local, _next_corner(local)).sum(axis=1))
+    """Measure the whole cells by the shoelace formula in (x, y): signed areas, square pixels."""
+    return np.asarray(_measure_polygons(*mesh.whole_outlines))
 
 
 def measure_cell_size(mesh: Mesh) -> float:
@@ -29,36 +29,49 @@ def measure_shape_quality(mesh: Mesh) -> Array:
 
     It is 1 for a rectangle, <= 0 for a cell that is not convex or runs negatively.
     """
-    points = _corners(mesh)
-    ahead = _next_corner(points) - points
-    behind = _previous_corner(mesh, points) - points
-    lengths = np.linalg.norm(ahead, axis=2) * np.linalg.norm(behind, axis=2)
+    ahead, behind = list_corner_edges(mesh, mesh.nodes)
+    lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
     sines = np.divide(multiply_across(ahead, behind), lengths, out=np.zeros_like(lengths), where=lengths > 0)
-    sines[mesh.cells < 0] = np.inf
-    return np.asarray(sines.min(axis=1, initial=np.inf))
+    return np.asarray(np.minimum.reduceat(sines, mesh.offsets[:-1]))
 
 
-def _corners(mesh: Mesh) -> Array:
-    """Coordinates of the cells' nodes, (n_cells, widest cell, 2); padding repeats the first corner."""
-    first = mesh.cells[:, :1]
-    cells = np.where(mesh.cells < 0, first, mesh.cells)
-    return np.asarray(mesh.nodes[cells])
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Corners of plane cells, cell after cell.
+
+    Attributes
+    ----------
+    cells, nodes : (n,) array of int64
+        Each corner's cell and node.
+    ahead, behind : (n,) array of int64
+        The cell's nodes after and before it.
+    """
+
+    cells: IntArray
+    nodes: IntArray
+    ahead: IntArray
+    behind: IntArray
 
 
-def _next_corner(points: Array) -> Array:
-    """The corner after each one."""
-    # The last corner is followed by padding, which repeats the first, or by the first itself.
-    return np.roll(points, -1, axis=1)
-
-
-def _previous_corner(mesh: Mesh, points: Array) -> Array:
-    """The corner before each one."""
+def list_corners(mesh: Mesh) -> Corners:
+    """List the corners of all cells, in the order of the cells' nodes; cells are plane, with their nodes as corners."""
     counts = np.diff(mesh.offsets)
-    previous = np.roll(points, 1, axis=1)
-    # Before the first corner comes the last, not the padding.
-    previous[:, 0] = points[np.arange(len(points)), counts - 1]
-    return previous
+    cells = np.repeat(np.arange(mesh.n_cells), counts)
+    first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]
+    place = np.arange(len(cells)) - first_of_cell
+    ahead = first_of_cell + (place + 1) % n_of_cell
+    behind = first_of_cell + (place - 1) % n_of_cell
+    return Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])
 
+
+def list_corner_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
+    """List differences of nodal values, (n_nodes, k), from each corner of each cell to the next and the one before.
+
+    (n_corners, k) each; cells are plane, with their nodes as corners.
+    """
+    corners = list_corners(mesh)
+    at_corners = values[corners.nodes]
+    return values[corners.ahead] - at_corners, values[corners.behind] - at_corners
 
 
 def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:
@@ -66,11 +79,10 @@ def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:
 
     The share is 1 where no discontinuity cuts the cell.
     """
-    outlines = mesh.outlines
-    areas = _measure_polygons(outlines.corners, outlines.connectivity, outlines.offsets)
+    areas = _measure_polygons(*mesh.outlines)
     if mesh.parts is None:
         return areas, np.ones(mesh.n_cells)
-    return areas, areas / _measure_polygons(mesh.nodes, mesh.connectivity, mesh.offsets)
+    return areas, areas / measure_areas(mesh)
 
 
 @numba.njit(cache=True)

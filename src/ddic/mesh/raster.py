@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.window import Window
+from ddic.mesh.cell_parts import find_offsets, list_ranges
 from ddic.mesh.mesh import Mesh
 
 SNAP = float(2**20)
@@ -45,14 +46,13 @@ class Raster:
     @cached_property
     def pixel_counts(self) -> IntArray:
         """Number of pixels of each cell, (n_cells,)."""
-        return self._sum_by_cell(self.stops - self.starts)
+        up_to = find_offsets(self.stops - self.starts)
+        return np.asarray(up_to[self.row_ptr[1:]] - up_to[self.row_ptr[:-1]])
 
     @property
     def rows(self) -> IntArray:
         """Image row of each run, (n_runs,)."""
-        n_rows = np.diff(self.row_ptr)
-        shift = np.repeat(self.first_row - self.row_ptr[:-1], n_rows)
-        return np.asarray(shift + np.arange(len(self.starts)))
+        return list_ranges(self.first_row, np.diff(self.row_ptr))
 
     @property
     def window(self) -> Window:
@@ -65,27 +65,22 @@ class Raster:
 
     def find_covered(self, width: int, height: int) -> NDArray[np.uint8]:
         """Draw the pixels that belong to a cell: 1 there, 0 elsewhere, (height, width)."""
-        rows = self.rows
-        inside = (rows >= 0) & (rows < height)
-        covered = np.zeros((height, width), dtype=np.uint8)
-        _fill_ones(rows[inside], np.clip(self.starts, 0, width)[inside], np.clip(self.stops, 0, width)[inside], covered)
-        return covered
+        return self.draw_cells(np.arange(len(self.first_row)), Window.of_size(width, height))
 
     def draw_cells(self, cells: IntArray, window: Window) -> NDArray[np.uint8]:
-        """Draw the pixels of some cells in a window that holds all pixels of the mesh: 1 there, 0 elsewhere."""
+        """Draw the pixels of some cells in a window: 1 there, 0 elsewhere."""
         runs, rows, _ = self.find_runs(cells)
-        filled = self.stops[runs] > self.starts[runs]
-        runs, rows = runs[filled], rows[filled]
+        inside = (rows >= window.y0) & (rows < window.y1)
+        starts, stops = (np.clip(ends[runs[inside]] - window.x0, 0, window.width) for ends in (self.starts, self.stops))
         drawn = np.zeros(window.shape, dtype=np.uint8)
-        _fill_ones(rows - window.y0, self.starts[runs] - window.x0, self.stops[runs] - window.x0, drawn)
+        _fill_ones(rows[inside] - window.y0, starts, stops, drawn)
         return drawn
 
     def find_runs(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         """Find the runs of some cells: numbers, image rows and cells of the runs, (n_runs,) each."""
         n_rows = np.diff(self.row_ptr)[cells]
-        row_of_cell = np.arange(n_rows.sum()) - np.repeat(np.cumsum(n_rows) - n_rows, n_rows)
-        return (np.repeat(self.row_ptr[cells], n_rows) + row_of_cell,
-                np.repeat(self.first_row[cells], n_rows) + row_of_cell, np.repeat(cells, n_rows))
+        runs, rows = (list_ranges(first[cells], n_rows) for first in (self.row_ptr, self.first_row))
+        return runs, rows, np.repeat(cells, n_rows)
 
     def sum_by_cell(self, image: NDArray[Any], x0: int = 0, y0: int = 0) -> NDArray[Any]:
         """Add up an image, whose first pixel is at (x0, y0), over each cell's pixels; nothing outside of it counts.
@@ -97,12 +92,6 @@ class Raster:
         _add_up_pixels(image, x0, y0, self.first_row, self.row_ptr, self.starts, self.stops, sums)
         return sums
 
-    def _sum_by_cell(self, by_run: NDArray[Any]) -> NDArray[Any]:
-        """Sums over the cells' runs, (n_cells,)."""
-        is_counted = np.issubdtype(by_run.dtype, np.integer)
-        up_to = np.concatenate([[0], np.cumsum(by_run, dtype=np.int64 if is_counted else np.float64)])
-        return np.asarray(up_to[self.row_ptr[1:]] - up_to[self.row_ptr[:-1]])
-
 
 def rasterize(mesh: Mesh) -> Raster:
     """Find the pixels of every cell; cells must be convex, with straight edges."""
@@ -110,11 +99,9 @@ def rasterize(mesh: Mesh) -> Raster:
     y = outlines.corners[outlines.connectivity, 1]
     first_row = np.ceil(np.minimum.reduceat(y, outlines.offsets[:-1])).astype(np.int64)
     last_row = np.ceil(np.maximum.reduceat(y, outlines.offsets[:-1])).astype(np.int64)
-    n_rows = np.maximum(last_row - first_row, 0)
-    row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
-    starts = np.empty(row_ptr[-1], dtype=np.int32)
-    stops = np.empty(row_ptr[-1], dtype=np.int32)
-    _fill_runs(outlines.corners, outlines.connectivity, outlines.offsets, first_row, row_ptr, starts, stops)
+    row_ptr = find_offsets(np.maximum(last_row - first_row, 0))
+    starts, stops = np.empty((2, row_ptr[-1]), dtype=np.int32)
+    _fill_runs(*outlines, first_row, row_ptr, starts, stops)
     return Raster(first_row, row_ptr, starts, stops)
 
 
@@ -129,7 +116,7 @@ def find_crossings(ends: Array) -> tuple[IntArray, IntArray, IntArray]:
     first_row = np.ceil(low[:, 1]).astype(np.int64)
     n_rows = np.ceil(high[:, 1]).astype(np.int64) - first_row
     sides = np.repeat(np.arange(len(ends)), n_rows)
-    rows = np.arange(len(sides)) + np.repeat(first_row - (np.cumsum(n_rows) - n_rows), n_rows)
+    rows = list_ranges(first_row, n_rows)
     (xa, ya), (xb, yb) = low[sides].T, high[sides].T
     x = xa + (rows - ya) / (yb - ya) * (xb - xa)
     return sides, rows, np.ceil(np.round(x * SNAP) / SNAP).astype(np.int64)
@@ -196,10 +183,9 @@ def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
 def list_pixels(raster: Raster, cells: IntArray) -> tuple[IntArray, IntArray]:
     """List the pixels of some cells, columns and rows, (n, 2), and the cell of each, (n,)."""
     runs, row_of_run, cell_of_run = raster.find_runs(cells)
-    lengths = (raster.stops[runs] - raster.starts[runs]).astype(np.int64)
-    first = np.cumsum(lengths) - lengths
-    columns = np.arange(lengths.sum()) + np.repeat(raster.starts[runs] - first, lengths)
-    rows = np.repeat(row_of_run, lengths)
+    starts = raster.starts[runs].astype(np.int64)
+    lengths = raster.stops[runs] - starts
+    columns, rows = list_ranges(starts, lengths), np.repeat(row_of_run, lengths)
     return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)
 
 

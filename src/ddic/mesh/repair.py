@@ -3,16 +3,18 @@
 How cells meet: side to side and each place once, or a displacement would tear there or be counted twice.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.arrays import Array, BoolArray, IntArray
+from ddic.arrays import Array, IntArray
 from ddic.errors import InputError, list_first
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import build_tree
+from ddic.mesh.plane import build_tree, multiply_across
 from ddic.mesh.quality import measure_areas, measure_shape_quality
 from ddic.mesh.raster import Raster, find_crossings, rasterize
-from ddic.mesh.topology import Facets, find_facets
+from ddic.mesh.topology import Facets, find_distinct_rows, find_facets
 
 SMALLEST_SINE = 1e-8
 """Sine of a corner below which a cell is degenerate: far below any mesh generator's, far above rounding. A larger
@@ -83,7 +85,7 @@ def _orient(mesh: Mesh) -> Mesh:
         n = block.type.n_nodes
         chosen = block.cells[negative[block.cells]]
         cells[chosen, 1:n] = cells[chosen, 1:n][:, ::-1]
-    return Mesh(mesh.nodes, cells[cells >= 0], mesh.offsets, mesh.types, mesh.node_sets, mesh.mapping)
+    return replace(mesh, connectivity=cells[cells >= 0])
 
 
 def _refuse_bad_cells(mesh: Mesh) -> None:
@@ -91,7 +93,8 @@ def _refuse_bad_cells(mesh: Mesh) -> None:
     ordered = np.sort(mesh.cells, axis=1)
     same_as_next = (ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] >= 0)
     repeated = same_as_next.any(axis=1)
-    duplicate = _duplicates(ordered)
+    duplicate = np.ones(mesh.n_cells, dtype=bool)
+    duplicate[find_distinct_rows(ordered, mesh.n_nodes)[0]] = False
     bad_shape = ~repeated & (measure_shape_quality(mesh) < SMALLEST_SINE)
     remedies = (
         (repeated, "have a node twice: split or delete them in the mesh generator"),
@@ -101,17 +104,6 @@ def _refuse_bad_cells(mesh: Mesh) -> None:
     problems = [f"{_cells(np.flatnonzero(bad))} {remedy}" for bad, remedy in remedies if bad.any()]
     if problems:
         raise InputError(problems)
-
-
-def _duplicates(ordered: IntArray) -> BoolArray:
-    """Which rows equal an earlier row."""
-    # Stable: of equal rows the earliest comes first.
-    order = np.lexsort(ordered.T[::-1])
-    in_order = ordered[order]
-    same_as_previous = (in_order[1:] == in_order[:-1]).all(axis=1)
-    duplicate = np.zeros(len(ordered), dtype=bool)
-    duplicate[order[1:][same_as_previous]] = True
-    return duplicate
 
 
 def _cells(numbers: IntArray) -> str:
@@ -164,17 +156,12 @@ def _find_hanging_nodes(mesh: Mesh, facets: Facets) -> IntArray:
     near = build_tree(mesh.nodes[nodes]).query_ball_point((first + second) / 2, lengths / 2)
     numbers = np.repeat(np.arange(len(sides)), [len(found) for found in near])
     found = nodes[np.concatenate(near).astype(np.int64)]
-    along, off = _measure_place(mesh.nodes[found] - first[numbers], (second - first)[numbers])
+    points, side = mesh.nodes[found] - first[numbers], (second - first)[numbers]
+    squares = (side**2).sum(axis=1)
+    # Places along the sides and off them, over the sides' lengths.
+    along, off = (points * side).sum(axis=1) / squares, multiply_across(points, side) / squares
     is_inside = (along > ON_SIDE) & (along < 1 - ON_SIDE) & (np.abs(off) < ON_SIDE)
     return np.asarray(np.unique(found[is_inside]))
-
-
-def _measure_place(points: Array, sides: Array) -> tuple[Array, Array]:
-    """Places of points along sides and off them, over the sides' lengths."""
-    squares = (sides**2).sum(axis=1)
-    along = (points * sides).sum(axis=1) / squares
-    off = (points[:, 0] * sides[:, 1] - points[:, 1] * sides[:, 0]) / squares
-    return along, off
 
 
 def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> IntArray:
@@ -182,10 +169,10 @@ def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> IntArray:
     if not _is_covered_twice(mesh, facets):
         return np.zeros(0, np.int64)
     raster = rasterize(mesh)
-    counts, window = raster.pixel_counts, raster.window
+    window = raster.window
     times = _count_cells_of_pixels(raster)
     shared = raster.sum_by_cell((times > 1).astype(np.float64), window.x0, window.y0)
-    return np.flatnonzero(shared > SHARED * np.maximum(counts, 1))
+    return np.flatnonzero(shared > SHARED * np.maximum(raster.pixel_counts, 1))
 
 
 def _is_covered_twice(mesh: Mesh, facets: Facets) -> bool:

@@ -4,7 +4,7 @@ Rounding of the staircase that cells removed from a grid leave around a hole.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -30,10 +30,9 @@ MOST_CANDIDATES = 4
 BISECTIONS = 50
 """Steps that find where a side meets an outline, each of which halves the error: 50 reach a double's rounding."""
 
-Cells = IntArray
 
-
-def chop_corners(quads: Cells, members: Sequence[Cells], nodes: Array, holes: Sequence[Hole]) -> tuple[Cells, Cells]:
+def chop_corners(quads: IntArray, members: Sequence[IntArray], nodes: Array,
+                 holes: Sequence[Hole]) -> tuple[IntArray, IntArray]:
     """Cut off the corners that stick out into a hole: such a rectangle becomes a triangle.
 
     A node that belongs to one cell only and lies on a hole, as do both its neighbours in the cell, would become a
@@ -61,9 +60,8 @@ def chop_corners(quads: Cells, members: Sequence[Cells], nodes: Array, holes: Se
     return quads, np.concatenate(triangles)
 
 
-def snap_to_holes(nodes: Array, quads: Cells, triangles: Cells, members: Sequence[Cells],
-                  holes: Sequence[Hole], region: Sequence[float],
-                  ) -> tuple[Array, list[Cells]]:
+def snap_to_holes(mesh: Mesh, members: Sequence[IntArray], holes: Sequence[Hole],
+                  region: Sequence[float]) -> tuple[Array, list[IntArray]]:
     """Move the nodes around each hole onto its outline where the cells stay convex and well shaped.
 
     Nodes on a side of the region (x0, y0, x1, y1) slide along it; its four corners stay. Where a cell would become too
@@ -71,59 +69,46 @@ def snap_to_holes(nodes: Array, quads: Cells, triangles: Cells, members: Sequenc
     that its removed cells share with others. Gives all nodes, pixels, and for each hole its own, moved or not.
     """
     if not holes:
-        return nodes, []
-    used = np.unique(np.concatenate([quads.ravel(), triangles.ravel()]))
-    on_holes = _nearest_hole([np.intersect1d(member, used) for member in members], nodes, holes)
-    target = nodes.copy()
+        return mesh.nodes, []
+    used = np.unique(mesh.connectivity)
+    on_holes = _nearest_hole([np.intersect1d(member, used) for member in members], mesh.nodes, holes)
+    target = mesh.nodes.copy()
     for member, hole in zip(on_holes, holes, strict=True):
-        target[member] = _on_outline(nodes[member], hole, region)
+        target[member] = _on_outline(mesh.nodes[member], hole, region)
     for member, hole in zip(on_holes, holes, strict=True):
-        _take_corners(_Snapping(nodes, target, (quads, triangles), region), member, hole)
-    return _move_carefully(nodes, target, quads, triangles), on_holes
+        if isinstance(hole, OutlinedHole):
+            # Nodes on a side of the region stay on it.
+            free = member[_is_between_sides(mesh.nodes[member], region)]
+            _take_corners(mesh, target, free, hole.corners[_is_between_sides(hole.corners, region)])
+    return _move_carefully(mesh, target), on_holes
 
 
-@dataclass(frozen=True, eq=False)
-class _Snapping:
-    """Nodes where they were and where they go, (n_nodes, 2) each, their cells, and the region (x0, y0, x1, y1)."""
-
-    nodes: Array
-    target: Array
-    cells: tuple[Cells, Cells]
-    region: Sequence[float]
+def _is_between_sides(points: Array, region: Sequence[float]) -> BoolArray:
+    return np.asarray(((points > region[:2]) & (points < region[2:])).all(axis=1))
 
 
-def _take_corners(snapping: _Snapping, member: Cells, hole: Hole) -> None:
-    """Bring a node to each corner of a hole: of those near it the one whose cells bear it best."""
-    nodes, target = snapping.nodes, snapping.target
-    x0, y0, x1, y1 = snapping.region
-
-    def is_inside(points: Array) -> BoolArray:
-        return np.asarray(((points > [x0, y0]) & (points < [x1, y1])).all(axis=1))
-
-    # Nodes on a side of the region stay on it.
-    free = member[is_inside(nodes[member])]
-    for corner in hole.corners[is_inside(hole.corners)]:
-        near = free[np.argsort(np.linalg.norm(nodes[free] - corner, axis=1))[:MOST_CANDIDATES]]
+def _take_corners(mesh: Mesh, target: Array, free: IntArray, corners: Array) -> None:
+    """Bring a node to each corner of a hole: of those free to go and near it the one whose cells bear it best."""
+    for corner in corners:
+        near = free[np.argsort(np.linalg.norm(mesh.nodes[free] - corner, axis=1))[:MOST_CANDIDATES]]
         if not len(near):
             return
-        qualities = [_measure_worst(snapping, int(node), corner) for node in near]
+        qualities = [_measure_worst(mesh, target, int(node), corner) for node in near]
         chosen = near[int(np.argmax(qualities))]
         target[chosen] = corner
         free = free[free != chosen]
 
 
-def _measure_worst(snapping: _Snapping, node: int, place: Array) -> float:
-    """Smallest sine in the cells around a node, were it to go to a place."""
-    moved = snapping.target.copy()
+def _measure_worst(mesh: Mesh, target: Array, node: int, place: Array) -> float:
+    """Smallest sine in the cells around a node, were it to go to a place and the others to their targets."""
+    moved = target.copy()
     moved[node] = place
-    quads, triangles = (cells[(cells == node).any(axis=1)] for cells in snapping.cells)
-    return float(measure_shape_quality(build_mesh(moved, {Q4: quads, T3: triangles})).min(initial=np.inf))
+    about = mesh.keep_cells(mesh.find_cells_around(np.arange(mesh.n_nodes) == node))
+    return float(measure_shape_quality(replace(about, nodes=moved)).min(initial=np.inf))
 
 
-def _nearest_hole(members: list[Cells], nodes: Array, holes: Sequence[Hole]) -> list[Cells]:
+def _nearest_hole(members: list[IntArray], nodes: Array, holes: Sequence[Hole]) -> list[IntArray]:
     """Give nodes that several holes touch to the hole whose outline is nearest."""
-    if not holes:
-        return []
     away = np.full((len(holes), len(nodes)), np.inf)
     for k, (member, hole) in enumerate(zip(members, holes, strict=True)):
         away[k, member] = np.abs(hole.measure_distance(nodes[member]))
@@ -163,14 +148,13 @@ def _along_axis(points: Array, hole: Hole, axis: int) -> Array:
     return np.where(bracketed[:, None], (low + high) / 2, points)
 
 
-def _move_carefully(nodes: Array, target: Array, quads: Cells, triangles: Cells) -> Array:
+def _move_carefully(mesh: Mesh, target: Array) -> Array:
     """Move nodes towards their targets as far as all cells keep their shape."""
-    fraction = np.ones(len(nodes))
-    fraction[(target == nodes).all(axis=1)] = 0.0
+    fraction = np.ones(mesh.n_nodes)
+    fraction[(target == mesh.nodes).all(axis=1)] = 0.0
     while True:
-        moved = nodes + fraction[:, None] * (target - nodes)
-        mesh = build_mesh(moved, {Q4: quads, T3: triangles})
-        bad = mesh.cells[measure_shape_quality(mesh) < SMALLEST_SINE]
+        moved = mesh.nodes + fraction[:, None] * (target - mesh.nodes)
+        bad = mesh.cells[measure_shape_quality(replace(mesh, nodes=moved)) < SMALLEST_SINE]
         blamed = np.unique(bad[bad >= 0])
         blamed = blamed[fraction[blamed] > 0]
         if len(blamed) == 0:
@@ -260,7 +244,9 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
         Where an argument is impossible, a hole removes no cell, or no cell is left.
     """
     _refuse_impossible(region, element_size, cell, mask)
-    grid = _fit_grid(region, element_size)
+    x0, y0, x1, y1 = region
+    n_columns, n_rows = count_cells(region, element_size)
+    grid = GridLines(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
     holes: list[Hole] = [CircularHole(center, radius) for center, radius in circles]
     holes += [outline if isinstance(outline, OutlinedHole) else PolygonalHole(np.asarray(outline, dtype=np.float64))
               for outline in polygons]
@@ -272,11 +258,11 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
         halves = _split_quads(quads, len(grid.x))
         quads, triangles = quads[:0], np.concatenate([halves, triangles])
     # After the split, so that the cells whose shape is watched are those of the mesh.
-    nodes, on_holes = snap_to_holes(grid.nodes, quads, triangles, members, holes, region)
+    mesh = build_mesh(grid.nodes, {Q4: quads, T3: triangles})
+    nodes, on_holes = snap_to_holes(mesh, members, holes, region)
     sets = grid.sides | {f"hole_{k}": found for k, found in enumerate(on_holes)}
-    mesh = build_mesh(nodes, {Q4: quads, T3: triangles}, sets)
     # Without the nodes that no cell uses any more.
-    return mesh.create_submesh(np.arange(mesh.n_cells))[0]
+    return replace(mesh, nodes=nodes, node_sets=sets).create_submesh(np.arange(mesh.n_cells))[0]
 
 
 def _refuse_impossible(region: Sequence[float], element_size: float, cell: str, mask: BoolArray | None) -> None:
@@ -310,18 +296,9 @@ def count_cells(region: Sequence[float], element_size: float) -> tuple[int, int]
     return n_columns, n_rows
 
 
-def _fit_grid(region: Sequence[float], element_size: float) -> GridLines:
-    """Lines that divide the region evenly."""
-    x0, y0, x1, y1 = region
-    n_columns, n_rows = count_cells(region, element_size)
-    return GridLines(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
-
-
 def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: BoolArray | None) -> BoolArray:
     """Cells in no hole and in the mask."""
-    kept = np.ones(len(grid.quads), dtype=bool)
-    for inside in in_holes:
-        kept &= ~inside
+    kept: BoolArray = ~np.logical_or.reduce([np.zeros(len(grid.quads), dtype=bool), *in_holes])
     if mask is not None:
         kept &= _cells_in_mask(grid, np.asarray(mask) != 0)
     if not kept.any():

@@ -1,20 +1,19 @@
 """Facets of a mesh: which cells share them, which lie on the boundary.
 
-Nodes that regularization leaves free: loaded and clamped edges, where forces are unknown.
-
-Corners of cells, each with its neighbours along the cell's edges.
+Nodes by name or by box; those that regularization leaves free: loaded and clamped edges, where forces are unknown.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 
 import numpy as np
 
 from ddic.arrays import BoolArray, IntArray
 from ddic.errors import InputError
+from ddic.mesh.cell_parts import find_offsets
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.node_selection import find_named_nodes, find_nodes_in_box
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ def find_facets(mesh: Mesh) -> Facets:
     """Find the facets of all cells; facets with the same nodes are one."""
     sides, cells = _sides(mesh)
     # A facet is its set of nodes, whatever the order in which a cell runs through them.
-    first, numbers = _distinct_rows(np.sort(sides, axis=1), mesh.n_nodes)
+    first, numbers = find_distinct_rows(np.sort(sides, axis=1), mesh.n_nodes)
     return Facets(sides[first], numbers, cells, sides[:, 0] != sides[first[numbers], 0])
 
 
@@ -60,17 +59,6 @@ def find_boundary_nodes(mesh: Mesh) -> IntArray:
     """Find the nodes on facets that belong to exactly one cell, sorted."""
     nodes = np.unique(find_boundary_facets(mesh))
     return nodes[nodes >= 0]
-
-
-def find_named_facets(mesh: Mesh, name: str) -> IntArray:
-    """Find the boundary facets whose nodes all belong to a node set: their nodes, padded with -1.
-
-    Raises InputError where the mesh has no node set of that name.
-    """
-    outer = find_boundary_facets(mesh)
-    padding = outer < 0
-    members = np.isin(outer, find_named_nodes(mesh, name)) | padding
-    return np.asarray(outer[members.all(axis=1)])
 
 
 def find_adjacent_cells(mesh: Mesh) -> tuple[IntArray, IntArray]:
@@ -92,8 +80,7 @@ def find_adjacent_cells(mesh: Mesh) -> tuple[IntArray, IntArray]:
     pairs = np.unique(np.concatenate(one) * mesh.n_cells + np.concatenate(other))
     rows, columns = np.divmod(pairs, max(mesh.n_cells, 1))
     n_neighbours = np.bincount(rows, minlength=mesh.n_cells)
-    indptr = np.concatenate([[0], np.cumsum(n_neighbours)])
-    return indptr.astype(np.int64), columns.astype(np.int64)
+    return find_offsets(n_neighbours), columns.astype(np.int64)
 
 
 def _sides(mesh: Mesh) -> tuple[IntArray, IntArray]:
@@ -109,8 +96,8 @@ def _sides(mesh: Mesh) -> tuple[IntArray, IntArray]:
     return np.concatenate(sides), np.concatenate(cells)
 
 
-def _distinct_rows(rows: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
-    """Number the distinct rows: (first row of each, number of each row).
+def find_distinct_rows(rows: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
+    """Find and number the distinct rows of nodes, padded with -1: the first row of each, and the number of each row.
 
     One-dimensional keys sort many times faster than numpy.unique(axis=0).
     """
@@ -136,6 +123,33 @@ def _sort(keys: IntArray) -> IntArray:
     for shift in range(16, int(keys.max()).bit_length(), 16):
         order = order[np.argsort((keys[order] >> shift).astype(np.uint16), kind="stable")]
     return order.astype(np.int64)
+
+
+def find_named_nodes(mesh: Mesh, name: str) -> IntArray:
+    """Look up a node set: sorted numbers of its nodes.
+
+    Raises InputError where the mesh has no such set, with the nearest name, or where the set is empty.
+    """
+    if name not in mesh.node_sets:
+        near = get_close_matches(name, list(mesh.node_sets), n=1)
+        known = ", ".join(f'"{key}"' for key in sorted(mesh.node_sets)) or "none"
+        hint = f'did you mean "{near[0]}"?' if near else f"the mesh has: {known}"
+        raise InputError(f'no node set is named "{name}"; {hint}')
+    if len(mesh.node_sets[name]) == 0:
+        raise InputError(f'the node set "{name}" holds no node of the mesh; leave it out')
+    return mesh.node_sets[name]
+
+
+def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> IntArray:
+    """Find the nodes in a closed box, its lowest corner, then its highest, pixels; sorted.
+
+    Raises InputError where the box holds no node.
+    """
+    low, high = np.array(box[:mesh.dim]), np.array(box[mesh.dim:])
+    within = ((mesh.nodes >= low) & (mesh.nodes <= high)).all(axis=1)
+    if not within.any():
+        raise InputError(f"the box {list(box)} (x0, y0, x1, y1 in pixels) holds no node of the mesh")
+    return np.flatnonzero(within).astype(np.int64)
 
 
 BOUNDARY = "boundary"
@@ -166,32 +180,3 @@ def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[
     if problems:
         raise InputError(problems)
     return np.unique(np.concatenate(chosen))
-
-
-@dataclass(frozen=True, eq=False)
-class Corners:
-    """Corners of plane cells, cell after cell.
-
-    Attributes
-    ----------
-    cells, nodes : (n,) array of int64
-        Each corner's cell and node.
-    ahead, behind : (n,) array of int64
-        The cell's nodes after and before it.
-    """
-
-    cells: IntArray
-    nodes: IntArray
-    ahead: IntArray
-    behind: IntArray
-
-
-def list_corners(mesh: Mesh) -> Corners:
-    """List the corners of all cells, in the order of the cells' nodes; cells are plane, with their nodes as corners."""
-    counts = np.diff(mesh.offsets)
-    cells = np.repeat(np.arange(mesh.n_cells), counts)
-    first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]
-    place = np.arange(len(cells)) - first_of_cell
-    ahead = first_of_cell + (place + 1) % n_of_cell
-    behind = first_of_cell + (place - 1) % n_of_cell
-    return Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])

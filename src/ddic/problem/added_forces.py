@@ -15,7 +15,7 @@ from ddic.arrays import Array, BoolArray
 from ddic.functionals.regularization import Material, integrate_cell_stiffness
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import sum_about_nodes
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.plane import Rotation
 from ddic.mesh.quality import measure_areas
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
@@ -52,25 +52,20 @@ class RigidMotion:
 
     Attributes
     ----------
-    angle : float
-        From x towards y, radians.
+    rotation : Rotation
+        R.
     centre, translation : (2,) array
         Centre, and its displacement, pixels.
     """
 
-    angle: float
+    rotation: Rotation
     centre: Array
     translation: Array
-
-    @property
-    def rotation(self) -> Array:
-        """R, (2, 2)."""
-        return build_rotation(self.angle)
 
     def evaluate(self, points: Array) -> Array:
         """Evaluate the displacement at points, (n, 2), pixels."""
         arms = points - self.centre
-        return np.asarray(arms @ (self.rotation - np.eye(2)).T + self.translation)
+        return np.asarray(arms @ (self.rotation.matrix - np.eye(2)).T + self.translation)
 
 
 def measure_turn(other: float, one: float) -> float:
@@ -93,7 +88,7 @@ def fit_rigid_motion(q: Field) -> RigidMotion:
     # Of sum (x - x_mean) (X - X_mean)^T, the angle that it turns by.
     spread = products / total - np.outer(moved_centre, centre)
     angle = float(np.arctan2(spread[1, 0] - spread[0, 1], spread[0, 0] + spread[1, 1]))
-    return RigidMotion(angle, centre, moved_centre - centre)
+    return RigidMotion(Rotation(angle), centre, moved_centre - centre)
 
 
 def _sum_moments(subdomain: Subdomain, q: Array) -> Array:
@@ -124,7 +119,8 @@ class HeldRotation:
         q_R is the rigid motion of ``q``. The forces add up over subdomains.
         """
         motion = fit_rigid_motion(q)
-        shares = np.array([*motion.translation, np.cos(motion.angle) - 1.0, np.sin(motion.angle)])
+        angle = motion.rotation.angle
+        shares = np.array([*motion.translation, np.cos(angle) - 1.0, np.sin(angle)])
         return q.with_parts(np.asarray(forces @ shares) for forces in self._forces_of_fields)
 
     @cached_property
@@ -148,7 +144,7 @@ def _fit_fields(subdomain: Subdomain, centre: Array) -> Array:
     """Unknowns of both translations, of X - centre, and of the same turned by 90 degrees, (n_unknowns, 4)."""
     arms = subdomain.mesh.nodes - centre
     fields = [np.tile(axis, (len(arms), 1)) for axis in np.eye(2)]
-    fields += [arms, arms @ build_rotation(np.pi / 2).T]
+    fields += [arms, Rotation(np.pi / 2).apply(arms)]
     of_field = np.column_stack([subdomain.kinematics.fit(field.ravel()) for field in fields])
     return np.vstack([of_field, np.zeros((subdomain.n_motion, len(fields)))])
 
@@ -191,9 +187,9 @@ class FilledCells:
             if of_nodes.nnz:
                 nodes = subdomain.mesh.nodes
                 field = subdomain.kinematics.displacement(q_s[:subdomain.n_field]).reshape(nodes.shape)
-                rest = (field - motion.evaluate(nodes)) @ motion.rotation
+                rest = motion.rotation.apply_inverse(field - motion.evaluate(nodes))
                 # Turned as the region is now: else the field would depend on where its operators were assembled.
-                pull = -(of_nodes @ rest.ravel()).reshape(nodes.shape) @ motion.rotation.T
+                pull = motion.rotation.apply(-(of_nodes @ rest.ravel()).reshape(nodes.shape))
                 forces[:subdomain.n_field] = subdomain.kinematics.project_vector(pull.ravel())
             return forces
 
@@ -228,6 +224,6 @@ def _turn(subdomain: Subdomain, of_nodes: sparse.csr_matrix, angle: float) -> sp
     n_motion = subdomain.n_motion
     if not of_nodes.nnz:
         return sparse.csr_matrix((subdomain.n_unknowns, subdomain.n_unknowns))
-    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), build_rotation(angle)).tocsr()
+    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), Rotation(angle).matrix).tocsr()
     of_field = subdomain.kinematics.project_matrix((turn @ of_nodes @ turn.T).tocsr())
     return sparse.block_diag([of_field, sparse.csr_matrix((n_motion, n_motion))]).tocsr() if n_motion else of_field

@@ -262,7 +262,7 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
     cells = [np.zeros(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains]
     if len(free) and not is_regularized:
         cells = [np.sum(of_views, axis=0) == 0 for of_views in n_pixels]
-        angle = fit_rigid_motion(q).angle
+        angle = fit_rigid_motion(q).rotation.angle
         filled = fill_cells(subdomains, cells, assembly.mean_diagonal, angle)
     in_equilibrium = free if is_regularized else free[:0]
     is_free = [np.isin(subdomain.kinematics.numbers, in_equilibrium) for subdomain in subdomains]

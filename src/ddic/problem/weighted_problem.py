@@ -146,7 +146,7 @@ class WeightedProblem:
         """
         if self.reference.inputs.case.regularization is None:
             return model, ()
-        angle = fit_rigid_motion(q).angle
+        angle = fit_rigid_motion(q).rotation.angle
         notes: tuple[str, ...] = ()
         of_stiffness = choose_stiffness_angle(angle, self._stiffness_angle)
         if of_stiffness != self._stiffness_angle:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ddic.kinematics.tip_functions import subdivide_cells
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.cut_cells import subdivide_cells
 from ddic.mesh.mesh import build_mesh
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.raster import rasterize
