@@ -27,8 +27,7 @@ N_OF_CELLS, N_OF_TRIANGLES = 18, 11
 def sum_around_nodes(mesh: Mesh, u: Array) -> Array:
     """Sum over the cells around each node, (n_nodes, N_OF_CELLS + N_OF_TRIANGLES).
 
-    The sums add up over meshes. Cells are plane, and their corners are their nodes;
-    ``u`` is the displacement, (n_dofs,), pixels: where it is nan no cell uses it.
+    They add up over meshes. Cells are plane, their corners their nodes; ``u``, (n_dofs,), is nan where no cell uses it.
     """
     gradients = compute_displacement_gradients(mesh, u).reshape(-1, 4)
     areas, shares = measure_covered_areas(mesh)
