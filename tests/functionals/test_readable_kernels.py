@@ -9,11 +9,11 @@ from scipy import ndimage
 from scipy.interpolate import BSpline
 
 from ddic.functionals.correlation import Correlation, read_correlation
-from ddic.functionals.readable_kernels import evaluate_b_spline, find_local_coordinates, monomials
 from ddic.images.source import fill_excluded
 from ddic.images.sub_image import DeformedSubImage
 from support.pictures import source
 from support.random_meshes import grid_mesh
+from support.readable_kernels import evaluate_b_spline, find_local_coordinates, monomials
 from support.slow_correlation import CellPixels, cell_pixels, readable_kernels_instead
 
 HEIGHT, WIDTH = 60, 70

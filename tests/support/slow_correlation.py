@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.functionals.correlation import PIXEL_KERNELS, Correlation
-from ddic.functionals.readable_kernels import READABLE
 from ddic.mesh.cell_type import Q4
+from support.readable_kernels import READABLE
 
 
 @contextmanager

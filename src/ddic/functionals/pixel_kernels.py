@@ -1,6 +1,7 @@
 """Compiled loops over the pixels of cells, fused with the assembly of cell sums.
 
-``readable_kernels`` says the same in plain loops, pixel by pixel: read it first, it is the oracle of this file.
+``tests/support/readable_kernels.py`` says the same in plain loops, pixel by pixel: read it first, it is the oracle of
+this file.
 
 Cells are visited in batches of segments: neighbouring pixels of one row each. Segments of a batch follow each other
 without gaps, so that short rows fill vectors as well as long ones, and only what reads images goes row by row: it
@@ -28,8 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
-from ddic.functionals.prefetch import prefetch
-from ddic.functionals.vector_moves import WIDTH, copy_some, copy_vector, count_vector, fill_vector
+from ddic.functionals.instructions import WIDTH, copy_some, copy_vector, count_vector, fill_vector, prefetch
 
 LANES = 8
 """Numbers in the widest vector."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -112,11 +112,16 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     whole = window.grow(PADDING[degree])
     out = np.empty(whole.shape, dtype=np.float32)
     inner = whole.intersection(source.extent)
-    held = _hold(source, inner, HALO[degree], find_usable)
+    halo = HALO[degree]
+    held = _hold(source, inner, halo, find_usable)
 
     def fill(bands: Iterator[Window]) -> None:
-        for band, coefficients in _coefficient_bands(held, bands, degree):
-            out[whole.locate(band)] = coefficients
+        buffer = held.buffer(_BAND_ROWS + 2 * halo)
+        for band in bands:
+            wide = band.grow(halo).intersection(held.window)
+            coefficients = held.read(wide, buffer)
+            prefilter(coefficients, degree)
+            out[whole.locate(band)] = coefficients[wide.locate(band)]
 
     # The same bands for any number of threads: the halo's remainder, and with it rounding, depends on them.
     threads.share(inner.split_rows(_BAND_ROWS), fill)
@@ -170,7 +175,6 @@ class _Held:
     """A part of an image in memory, in its own type, excluded pixels filled: a file is read once per window."""
 
     window: Window
-    extent: Window
     pixels: NDArray[Any]
     usable: NDArray[np.uint8] | None
 
@@ -192,20 +196,10 @@ class _Held:
 
 
 def _hold(source: ImageSource, window: Window, halo: int, find_usable: FindUsable | None) -> _Held:
-    extent = source.extent
-    wide = window.grow(halo).intersection(extent)
+    wide = window.grow(halo).intersection(source.extent)
     usable = None if find_usable is None else find_usable(wide)
     pixels = fill_excluded(source.read(wide), usable)
-    return _Held(wide, extent, pixels, usable)
-
-
-def _coefficient_bands(held: _Held, bands: Iterable[Window], degree: int) -> Iterator[tuple[Window, Array]]:
-    buffer = held.buffer(_BAND_ROWS + 2 * HALO[degree])
-    for band in bands:
-        wide = band.grow(HALO[degree]).intersection(held.extent)
-        coefficients = held.read(wide, buffer)
-        prefilter(coefficients, degree)
-        yield band, coefficients[wide.locate(band)]
+    return _Held(wide, pixels, usable)
 
 
 def _reflect(out: NDArray[np.float32], filled: Window, whole: Window) -> None:

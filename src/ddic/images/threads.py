@@ -1,9 +1,10 @@
 """Threads of one process that share out work on pixels."""
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from threading import Lock
-from typing import Generic, TypeVar
+from contextlib import suppress
+from typing import TypeVar
 
 T = TypeVar("T")
 
@@ -39,8 +40,9 @@ class Threads:
         if self._pool is None:
             work(iter(items))
             return
-        taken = _Taken(iter(items))
-        running = [self._pool.submit(work, taken) for _ in range(self.n)]
+        # Threads may take from one end of it at once; a generator they may not share.
+        waiting = deque(items)
+        running = [self._pool.submit(work, _take_from(waiting)) for _ in range(self.n)]
         wait(running)
         for thread in running:
             thread.result()
@@ -67,16 +69,8 @@ class Threads:
 ONE_THREAD = Threads()
 
 
-class _Taken(Generic[T]):
-    """An iterator that several threads may take from."""
-
-    def __init__(self, items: Iterator[T]) -> None:
-        self._items = items
-        self._lock = Lock()
-
-    def __iter__(self) -> Iterator[T]:
-        return self
-
-    def __next__(self) -> T:
-        with self._lock:
-            return next(self._items)
+def _take_from(waiting: deque[T]) -> Iterator[T]:
+    """Take items until none is left."""
+    with suppress(IndexError):
+        while True:
+            yield waiting.popleft()

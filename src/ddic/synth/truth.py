@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
@@ -146,20 +148,10 @@ def describe_near_far(scene: NearFarScene) -> dict[str, Any]:
     of_near = describe_pair(scene.near.surface, camera.picture)
     record["near"] = {
         **{key: of_near[key] for key in ("texture", "hole", "image")},
-        "mapping": _describe_mapping(camera.mapping),
+        "mapping": {key: np.asarray(value).tolist() for key, value in dataclasses.asdict(camera.mapping).items()},
         "motion": dataclasses.asdict(camera.motion),
     }
     return record
-
-
-def _describe_mapping(mapping: CameraMapping) -> dict[str, Any]:
-    """Arguments of CameraMapping as values that JSON holds."""
-    return {
-        "homography": mapping.homography.tolist(),
-        "centre": mapping.centre.tolist(),
-        "radius": mapping.radius,
-        "radial": mapping.radial.tolist(),
-    }
 
 
 def load_near_far_truth(path: Path) -> NearFarTruth:

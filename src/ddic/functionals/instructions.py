@@ -1,8 +1,10 @@
-"""Write the widest vector of float32 at once: what a loop would do after a test of overlap for every row of pixels.
+"""Instructions that numba does not offer: the widest vector written at once, a cache line asked for before its time.
+
+A vector stands for what a loop would do after a test of overlap for every row of pixels.
 
 Intrinsics are functions that numba asks, while it compiles a call of them, for the types and then for the
 instructions: the function below a docstring takes types, ``generate`` writes the instructions for the values.
-Arrays are float32 and contiguous, and the caller minds their ends.
+Arrays of vectors are float32 and contiguous, and the caller minds their ends.
 """
 
 from typing import Any
@@ -17,6 +19,10 @@ WIDTH = 16
 _VECTOR = ir.VectorType(ir.FloatType(), WIDTH)
 _ALIGNMENT = 4
 _STEPS = ir.Constant(_VECTOR, [float(k) for k in range(WIDTH)])
+
+_READ, _SECOND_LEVEL, _DATA = 0, 2, 1
+"""llvm.prefetch's arguments. Rows of a cell at a stride of 2^k bytes share one set of the first-level cache,
+and would drive each other out of it."""
 
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
@@ -93,3 +99,19 @@ def count_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(to, j, types.float32), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
+    """Fetch array[index] into the second-level cache; an index beyond a contiguous array's ends does no harm."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        address = builder.gep(data, [arguments[1]])
+        int32 = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [address.type, int32, int32, int32])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [address.type], kind)
+        builder.call(function, [address, int32(_READ), int32(_SECOND_LEVEL), int32(_DATA)])
+        return context.get_dummy_value()
+
+    return types.void(array, index), generate
