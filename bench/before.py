@@ -164,13 +164,13 @@ def compare(name: str, rounds: int = ROUNDS, commit: str = COMMIT) -> Comparison
     return found
 
 
-def compare_starts(commit: str, rounds: int = ROUNDS) -> tuple[float, float]:
+def compare_starts(earlier: Path, rounds: int = ROUNDS) -> tuple[float, float]:
     """Measure ``ddic run`` on the demo, alone, up to its first line of output, with the code before and now in turn.
 
     Parameters
     ----------
-    commit : str
-        Of the code before.
+    earlier : Path
+        Checkout of the code before.
     rounds : int
         Timed runs of each.
 
@@ -178,13 +178,8 @@ def compare_starts(commit: str, rounds: int = ROUNDS) -> tuple[float, float]:
     -------
     before, now : float
         Medians of CPU seconds.
-
-    Raises
-    ------
-    NotHereError
-        Where the repository's history does not reach back so far.
     """
-    sources = {"before": checkout_before(commit), "now": ROOT}
+    sources = {"before": earlier, "now": ROOT}
     folder = DATA / "before" / "demo"
     folder.mkdir(parents=True, exist_ok=True)
     runs: dict[str, list[float]] = {which: [] for which in sources}
@@ -195,7 +190,7 @@ def compare_starts(commit: str, rounds: int = ROUNDS) -> tuple[float, float]:
             cpu = _time_first_line(case, source)
             if number > 0:
                 runs[which].append(cpu)
-    append_result("starts", {"before": commit, **runs})
+    append_result("starts", {"before": earlier.name, **{f"{which}_cpu_s": cpu for which, cpu in runs.items()}})
     return median(runs["before"]), median(runs["now"])
 
 
