@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ddic.images.rigid import fill_absent
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture
-from ddic.synth.virtual_image import fill_displacement, render_virtual_image
+from ddic.synth.virtual_image import render_virtual_image
 
 SIDE = 160
 
@@ -37,9 +38,9 @@ def test_it_is_the_image_of_that_motion(field: DisplacementField) -> None:
 def test_missing_displacement_is_that_of_the_nearest_pixel() -> None:
     u = np.full((5, 6, 2), np.nan)
     u[2, 1], u[2, 4] = (1.0, 2.0), (3.0, 4.0)
-    filled = fill_displacement(u)
+    filled = fill_absent(u)
     assert filled[0, 0].tolist() == [1.0, 2.0]
     assert filled[4, 5].tolist() == [3.0, 4.0]
     assert np.isfinite(filled).all()
     whole = np.ones((2, 2, 2))
-    assert fill_displacement(whole) is whole
+    assert fill_absent(whole) is whole

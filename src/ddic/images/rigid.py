@@ -160,8 +160,8 @@ def build_uniform_field(shift: tuple[float, float]) -> GridField:
 
 
 def fill_absent(values: Array) -> Array:
-    """Give grid nodes, (rows, columns, 2), that are nan the value of the nearest present one, where there is any."""
-    absent = np.isnan(values[..., 0])
+    """Give places of a grid, (rows, columns, 2), that are nan the value of the nearest that is not, if there is any."""
+    absent = np.isnan(values).any(axis=2)
     if not absent.any():
         return values
     nearest = scipy.ndimage.distance_transform_edt(absent, return_distances=False, return_indices=True)

@@ -22,6 +22,7 @@ from ddic.functionals.noise_transfer import build_white_transfer
 from ddic.functionals.regularization import Material
 from ddic.functionals.texture import measure_gap
 from ddic.images.binned import ArraySource
+from ddic.images.rigid import fill_absent
 from ddic.images.spline import read_gradient
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Frame
@@ -49,7 +50,7 @@ from ddic.results.sweep import (
 )
 from ddic.solvers.probing import estimate_degrees_of_freedom, estimate_response
 from ddic.start.given_start import EarlierResult, keep_displacement
-from ddic.synth.virtual_image import fill_displacement, render_virtual_image
+from ddic.synth.virtual_image import render_virtual_image
 
 T = TypeVar("T")
 
@@ -223,7 +224,7 @@ class VirtualTruth:
         height, width = grey.shape
         y, x = np.mgrid[0:height, 0:width]
         pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
-        displacement = fill_displacement(self.at(pixels).reshape(height, width, 2))
+        displacement = fill_absent(self.at(pixels).reshape(height, width, 2))
         image = render_virtual_image(grey, displacement)
         random = np.random.default_rng(0)
         image += np.float32(noise) * random.standard_normal(image.shape, dtype=np.float32)

@@ -19,15 +19,6 @@ _ROWS = 256
 """Rows that are made at once; a larger value takes more memory."""
 
 
-def fill_displacement(displacement: Array) -> Array:
-    """Continue a displacement (height, width, 2), finite somewhere, to pixels where it is nan: the nearest one's."""
-    is_missing = np.isnan(displacement).any(axis=2)
-    if not is_missing.any():
-        return displacement
-    rows, columns = ndimage.distance_transform_edt(is_missing, return_distances=False, return_indices=True)
-    return np.asarray(displacement[rows, columns])
-
-
 def render_virtual_image(grey: Array, displacement: Array) -> NDArray[np.float32]:
     """Render g(y) = f(x) with x + u(x) = y, f interpolated by a quintic spline.
 
