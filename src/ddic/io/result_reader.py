@@ -17,6 +17,7 @@ from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
 from ddic.io.hdf5_file import READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import as_path, require_file
+from ddic.mesh.cell_parts import find_offsets, list_ranges
 from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
@@ -406,10 +407,9 @@ def merge_pieces(grid: Arrays, points: Array, global_node_ids: IntArray,
     starts = np.delete(offsets, last) + np.repeat(np.cumsum(n_ids) - n_ids, n_cells)
     counts = np.delete(np.diff(offsets, append=0), last)
     starts, counts = starts[order], counts[order]
-    new_offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    picked = np.arange(new_offsets[-1]) + np.repeat(starts - new_offsets[:-1], counts)
-    mesh = Mesh(np.ascontiguousarray(points[first_copy, :2]), connectivity[picked].astype(np.int64), new_offsets,
-                grid["Types"][order].astype(np.uint8))
+    picked = list_ranges(starts, counts)
+    mesh = Mesh(np.ascontiguousarray(points[first_copy, :2]), connectivity[picked].astype(np.int64),
+                find_offsets(counts), grid["Types"][order].astype(np.uint8))
     return mesh, first_copy, order
 
 

@@ -12,6 +12,7 @@ from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError, list_first
+from ddic.mesh.cell_parts import find_offsets
 from ddic.mesh.interpolation import find_cells_with_points, is_inside_outline
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.mortar import Mortar, Sides, find_overlaps, integrate_mortar
@@ -326,8 +327,7 @@ def _put_together(meshes: Sequence[Mesh], numbering: _Numbering) -> Mesh:
         connectivity.append(numbers[mesh.connectivity])
         for name, members in mesh.node_sets.items():
             named_nodes.setdefault(name, []).append(numbers[members])
-    nodes_a_cell = np.concatenate([np.diff(mesh.offsets) for mesh in meshes])
-    offsets = np.concatenate([[0], np.cumsum(nodes_a_cell)]).astype(np.int64)
+    offsets = find_offsets(np.concatenate([np.diff(mesh.offsets) for mesh in meshes]))
     types = np.concatenate([mesh.types for mesh in meshes])
     node_sets = {name: np.unique(np.concatenate(members)) for name, members in sorted(named_nodes.items())}
     return Mesh(nodes, np.concatenate(connectivity), offsets, types, node_sets, first.mapping)

@@ -24,6 +24,7 @@ from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs, UpdatedReference
 from ddic.kinematics.camera import place_before_camera
 from ddic.kinematics.kinematics import Kinematics
+from ddic.mesh.cell_parts import find_offsets
 from ddic.mesh.topology import find_adjacent_cells
 from ddic.parallel.field import ByView
 from ddic.parallel.phases import Phase, PhaseClock
@@ -204,7 +205,7 @@ def _adjacency_within_cameras(region_mesh: RegionMesh) -> tuple[IntArray, IntArr
     row = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
     same = cameras[row] == cameras[indices]
     counts = np.bincount(row[same], minlength=len(indptr) - 1)
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), indices[same]
+    return find_offsets(counts), indices[same]
 
 
 def _describe(owner: IntArray, blank: BoolArray, n_left: int) -> str:
