@@ -8,6 +8,7 @@ line runs all of the product. A file whose comments and docstrings alone differ 
 from __future__ import annotations
 
 import ast
+import hashlib
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
@@ -137,30 +138,38 @@ def _names(module: str, tree: ast.Module) -> Iterator[str]:
 def _compare(root: Path, commit: str, until: str | None) -> frozenset[str]:
     """Files that differ between two commits, or a commit and the working tree."""
     commits = [commit] if until is None else [commit, until]
-    listed = _git(root, "diff", "--name-only", "--no-renames", *commits, "--").splitlines()
-    return frozenset(file for file in listed if _differs(root, file, commit, until))
+    listed = _git(root, "diff", "--raw", "--no-abbrev", "--no-renames", *commits, "--").splitlines()
+    return frozenset(line.partition("\t")[2] for line in listed if _differs(root, line))
 
 
-def _differs(root: Path, file: str, commit: str, until: str | None) -> bool:
-    """Whether a file that git says differs does so in more than comments and docstrings."""
-    if not file.endswith(".py"):
+def _differs(root: Path, line: str) -> bool:
+    """Whether a file that git says differs, in a line of its raw form, does so in more than comments and docstrings."""
+    change, _, file = line.partition("\t")
+    # Names of the contents: zeros for those of the working tree.
+    *_, before, after, status = change.split()
+    if status != "M" or not file.endswith(".py"):
         return True
     try:
-        before = _git(root, "show", f"{commit}:{file}")
-        after = _git(root, "show", f"{until}:{file}") if until else (root / file).read_text(encoding="utf-8")
-        return _bare(before) != _bare(after)
-    except (subprocess.CalledProcessError, OSError, SyntaxError):
+        now = _bare_of(root, after) if after.strip("0") else _bare((root / file).read_text(encoding="utf-8"))
+        return _bare_of(root, before) != now
+    except (OSError, SyntaxError):
         return True
 
 
-def _bare(source: str) -> str:
-    """What a source does: its syntax tree without docstrings."""
+@cache
+def _bare_of(root: Path, contents: str) -> bytes:
+    # Most files have few contents among all commits that something was measured at.
+    return _bare(_git(root, "cat-file", "blob", contents))
+
+
+def _bare(source: str) -> bytes:
+    """A digest of what a source does: of its syntax tree without docstrings."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         for statements in (getattr(node, "body", None), getattr(node, "orelse", None)):
             if isinstance(statements, list):
                 statements[:] = [s for s in statements if not _is_text(s)]
-    return ast.dump(tree)
+    return hashlib.sha256(ast.dump(tree).encode()).digest()
 
 
 def _is_text(statement: ast.AST) -> bool:
