@@ -20,9 +20,6 @@ OPEN: dict[tuple[str, str], str] = {
     ("house", "source"):
         "two of sixteen: formulas of numpy on lines of 120 characters are dense, where models break theirs at 80 to "
         "100; and 2,690 import lines in 27,366 are 9.8 %, since files that were joined took 8 imports each along",
-    ("house", "startup"):
-        "0.96 CPU s, imports of numba 0.09, scipy 0.1, OpenCV 0.06, pydantic with the sections of a case 0.04; the "
-        "line told first is that of the search for a start",
     ("impressions", "followed_pages"):
         "three lines that README shows of an iteration were older than the code, and are mended since; a command of a "
         "user without rights ran into its limit while the machine was held up",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -111,7 +112,8 @@ def _find_peak(coefficient: Array) -> RigidShift:
     best = float(coefficient[row, column])
     # In the middle, where no peak lies across the ends of the array.
     centred = np.roll(coefficient > ALIKE * best, (height // 2 - row, width // 2 - column), axis=(0, 1))
-    n_alike = int(scipy.ndimage.label(centred)[1]) - 1 if best > 0 else 0
+    n_pieces, _ = cv2.connectedComponents(centred.astype(np.uint8), connectivity=4)
+    n_alike = n_pieces - 2 if best > 0 else 0  # without the piece around the largest, and what is not alike
     return RigidShift((shift_x, shift_y), best, n_alike)
 
 
