@@ -66,7 +66,7 @@ DAMAGES: Mapping[str, Callable[[Values], Any]] = {
     "emptied": lambda old: old[:0],
     "made words": lambda old: ["a", "b"],
     "made as many words": lambda old: np.full(old.shape, b"word"),
-    "made nan": lambda old: np.full_like(old, np.nan) if old.dtype.kind == "f" else np.full_like(old, -1),
+    "made nan": lambda old: np.full_like(old, {"f": np.nan, "i": -1, "u": -1}[old.dtype.kind]),
     "halved": lambda old: old[:len(old) // 2],
     "made one number": lambda old: 1.0,
     "made one row longer": lambda old: np.concatenate([old, old[-1:]]),
@@ -165,7 +165,7 @@ def _damage(name: str, place: str, kind: str, folder: Path) -> None:
         # What a dataset cannot become, a scalar without a row say, stays as it is.
         try:
             new = None if old is None or kind == "removed" else DAMAGES[kind](old)
-        except (IndexError, ValueError, TypeError):
+        except (IndexError, KeyError, ValueError, TypeError):
             return
         del file[place]
         if kind == "removed":

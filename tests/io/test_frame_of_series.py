@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -119,3 +121,37 @@ def test_mean_strain_counts_areas() -> None:
     values[[2, 5]] = np.nan
     assert _average(mesh, values) == 0.0
     assert np.isnan(_average(mesh, np.full(6, np.nan)))
+
+
+def _number_anew(file: h5py.File) -> None:
+    file["series"].attrs["numbers"] = np.nan
+
+
+def _tell_twice(file: h5py.File) -> None:
+    records = file["series/records"][...]
+    del file["series/records"]
+    file["series/records"] = np.concatenate([records, records[-1:]])
+
+
+def _take_time(file: h5py.File) -> None:
+    del file["frames/000001/time"].attrs["deformed"]
+
+
+def _make_columns(file: h5py.File) -> None:
+    old = file["VTKHDF/PointData/displacement"][...]
+    del file["VTKHDF/PointData/displacement"]
+    file["VTKHDF/PointData/displacement"] = np.stack([old, old], axis=-1)
+
+
+@pytest.mark.parametrize(("damage", "read", "reason"), [
+    (_number_anew, read_series, "whole numbers expected"),
+    (_tell_twice, read_series, "a frame is told of twice"),
+    (_take_time, lambda path: read_frame(path, 1), "no time"),
+    (_make_columns, lambda path: find_displacement_range(read_series(path)), "an array of shape"),
+])
+def test_a_damaged_series_is_refused(series: Path, damage: Callable[[h5py.File], None], read: Callable[[Path], object],
+                                     reason: str) -> None:
+    with h5py.File(series, "r+") as file:
+        damage(file)
+    with pytest.raises(InputError, match=reason):
+        read(series)

@@ -320,3 +320,29 @@ def test_a_damaged_series_is_read_as_a_line_and_not_as_an_error_of_the_folder(tm
         assert outcome.exit_code == 2
         assert "not a readable ddic result file" in outcome.stderr
         assert len(outcome.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("group", "columns", "reason"), [
+    ("history/gauss_newton", {"iteration": [1, 2]}, "no column residual_std_grey"),
+    ("history/gauss_newton", {"iteration": [1], "residual_std_grey": [1e308]}, "larger than anything"),
+    ("history/phases", {"seconds": [1.0]}, "no column phase"),
+])
+def test_a_table_without_what_others_read_of_it_is_damaged(tmp_path: Path, write_result: Write, group: str,
+                                                           columns: dict[str, list[float]], reason: str) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    with h5py.File(path, "r+") as file:
+        if group in file:
+            del file[group]
+        for name, values in columns.items():
+            file[f"{group}/{name}"] = values
+    with pytest.raises(InputError, match=reason):
+        read_result(path)
+
+
+def test_another_schema_is_told_in_a_line_whatever_it_is(tmp_path: Path, write_result: Write) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    with h5py.File(path, "r+") as file:
+        file.attrs["ddic_schema"] = "a\nb"
+    with pytest.raises(InputError, match=r"schema a b, this program reads") as refused:
+        read_result(path)
+    assert "\n" not in str(refused.value)

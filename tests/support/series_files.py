@@ -80,7 +80,8 @@ def _write_frame(path: Path, frame: FrameFile, number: int, form: tuple[bool, st
         if residual:
             writer.create_residual_image(ChunkGrid(60, 40))
             writer.write_residual_chunk(0, pack_chunk(np.full((40, 60), float(number), np.float32)))
-        writer.write_table(schema.GAUSS_NEWTON, {"iteration": list(range(1, 3 + number))})
+        iterations = list(range(1, 3 + number))
+        writer.write_table(schema.GAUSS_NEWTON, {"iteration": iterations, "residual_std_grey": [2.5] * len(iterations)})
         writer.write_curves(schema.KRYLOV, [[1.0, 10.0**-number]])
         writer.write_attributes(schema.CASE, {"json": "{}", "toml": "title = 'bar'\n"})
         writer.write_attributes(schema.PROVENANCE, {"reference_path": "", "n_ranks": 1})

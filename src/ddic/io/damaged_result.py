@@ -130,8 +130,19 @@ _LISTS = ("discontinuity", "near")
 """Sections of a case of which there may be several."""
 
 
+_COLUMNS = {
+    schema.GAUSS_NEWTON: ("iteration", "residual_std_grey"), schema.PHASES: ("phase", "seconds"),
+    schema.CORRECTIONS: ("correction", "residual_std_grey", "gain", "noise_gain", "relative_x", "relative_y",
+                         "fluctuation_x", "fluctuation_y"),
+}
+"""What others read of a table, by group."""
+
+_LARGEST = 1e100
+"""Beyond which a number of a table is damage: nothing that is measured is as large."""
+
+
 def require_sound_tables(tables: Mapping[str, Arrays]) -> None:
-    """Refuse tables whose columns are no numbers or do not have the same rows; the ValueError names the table.
+    """Refuse tables that lack columns, or whose columns are no numbers or do not have the same rows, by a ValueError.
 
     ``tables`` holds the (n,) columns by name, of each group; those of the Krylov histories have each its own length.
     """
@@ -140,6 +151,11 @@ def require_sound_tables(tables: Mapping[str, Arrays]) -> None:
             kinds = "OSU" if (group, name) == (schema.PHASES, "phase") else "iuf"
             if values.ndim != 1 or values.dtype.kind not in kinds:
                 raise ValueError(f"{group}/{name}: an array of {values.dtype}, shape {values.shape}")
+            if values.dtype.kind == "f" and (np.abs(values) > _LARGEST).any():
+                raise ValueError(f"{group}/{name}: larger than anything that is measured")
+        absent = set(_COLUMNS.get(group, ())) - set(columns)
+        if columns and absent:
+            raise ValueError(f"{group}: no column {min(absent)}")
         if group != schema.KRYLOV and len({len(values) for values in columns.values()}) > 1:
             raise ValueError(f"{group}: columns of different lengths")
 
@@ -150,12 +166,16 @@ def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Se
     ``times`` and ``numbers`` are (n,), of the frames that were measured; ``records`` are those of all frames. Raises
     ValueError, TypeError or KeyError.
     """
+    if numbers.dtype.kind not in "iu":
+        raise ValueError(f"{schema.SERIES}.numbers: whole numbers expected")
     if times.ndim != 1 or times.dtype.kind != "f" or times.shape != numbers.shape or not len(times):
         raise ValueError(f"{schema.STEPS}: times of shape {times.shape} for frames of shape {numbers.shape}")
     for record in records:
         _require_number("the time of a frame", record["time"], is_length=False)
         if not record["converged"]:
             str(record["failure"])
+    if len({record["number"] for record in records}) < len(records):
+        raise ValueError(f"{schema.SERIES}/records: a frame is told of twice")
     told = {record["number"] for record in records if record["converged"]}
     if not set(numbers.tolist()) <= told:
         raise ValueError(f"{schema.SERIES}.numbers: {numbers.tolist()[:3]} and so on, of which not all are told of")
@@ -167,8 +187,8 @@ def require_sound_products(data: Arrays) -> None:
     ``data`` holds nodes, functions and amplitudes of PGD-DIC.
     """
     for name, values in data.items():
-        if values.dtype.kind != "f" or not np.isfinite(values).all():
-            raise ValueError(f"{schema.SEPARATED}/{name}: finite numbers expected")
+        if values.dtype.kind != "f" or not (np.abs(values) <= LARGEST_PX).all():
+            raise ValueError(f"{schema.SEPARATED}/{name}: numbers no larger than an image expected")
     for axis in "xy":
         nodes = data[f"nodes_{axis}"]
         if nodes.ndim != 1 or len(nodes) < 2 or not (np.diff(nodes) > 0).all():

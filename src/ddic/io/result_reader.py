@@ -301,7 +301,8 @@ def check_schema(path: Path, file: Any) -> None:
 
     ``path`` names the file in messages.
     """
-    version = str(file.attrs.get("ddic_schema", ""))
+    # In messages it takes one line, whatever it is.
+    version = " ".join(str(file.attrs.get("ddic_schema", "")).split())
     if not version or schema.VTKHDF not in file:
         raise InputError(f"{path}: an HDF5 file, but not a ddic result; give a file written by ddic run")
     if schema.SHOWS in file.attrs:

@@ -75,7 +75,10 @@ class SeriesResult:
             floor = next((record.get(schema.NOISE_FLOOR) for record in self.records if record["number"] == number),
                          None)
             known = {} if floor is None else {schema.NOISE_FLOOR: floor}
-            return read_open_file(self.path, file, rest=file[schema.frame_group(int(number))],
+            frame = file[schema.frame_group(int(number))]
+            if "deformed" not in frame[schema.TIME].attrs:
+                raise ValueError(f"{frame.name}: no time")
+            return read_open_file(self.path, file, rest=frame,
                                   pick=_build_row_reader(file, step), known=known)
 
 
@@ -129,9 +132,9 @@ def _read_contents(path: Path, file: Any) -> SeriesResult:
         return SeriesResult(path, np.array([time]), np.array([1]), ({"number": 1, "time": time, "converged": True},))
     series = file[schema.SERIES]
     records = tuple(json.loads(text) for text in series["records"].asstr()[...])
-    times, numbers = read_array(file[schema.STEPS]["Values"]), np.asarray(series.attrs["numbers"]).astype(np.int64)
+    times, numbers = read_array(file[schema.STEPS]["Values"]), np.asarray(series.attrs["numbers"])
     require_sound_frames(times, numbers, records)
-    return SeriesResult(path, times, numbers, records)
+    return SeriesResult(path, times, numbers.astype(np.int64), records)
 
 
 def _build_row_reader(file: Any, step: int) -> Callable[[Any], NDArray[Any]]:
@@ -166,6 +169,8 @@ def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
     low, high = np.full(2, np.nan), np.full(2, np.nan)
     with opened_result(series.path) as (_, file):
         stored = file[schema.POINT_DATA][schema.DISPLACEMENT]
+        if stored.ndim != 2 or stored.shape[1] != schema.VECTOR:
+            raise ValueError(f"{schema.DISPLACEMENT}: an array of shape {stored.shape}")
         for begin in range(0, len(stored), ROWS):
             displacement = stored[begin:begin + ROWS, :2]
             low = np.fmin(low, np.fmin.reduce(displacement))

@@ -109,7 +109,8 @@ def draw_iterations(table: Mapping[str, NDArray[Any]], noise_floor: float = floa
     sizes.legend(fontsize="small")
     residual.plot(number, table["residual_std_grey"], marker="o", markersize=4)
     residual.set_ylabel("residual before it\n[grey levels]")
-    residual.set_ylim(0.0, 1.15 * float(np.nanmax(table["residual_std_grey"])) or 1.0)
+    known = np.isfinite(table["residual_std_grey"])
+    residual.set_ylim(0.0, 1.15 * float(np.max(table["residual_std_grey"], initial=0.0, where=known)) or 1.0)
     residual.set_xlabel("iteration [-]")
     for axes in (sizes, residual):
         _count_along_x(axes, number)
