@@ -324,7 +324,7 @@ def test_a_damaged_series_is_read_as_a_line_and_not_as_an_error_of_the_folder(tm
 
 @pytest.mark.parametrize(("group", "columns", "reason"), [
     ("history/gauss_newton", {"iteration": [1, 2]}, "no column residual_std_grey"),
-    ("history/gauss_newton", {"iteration": [1], "residual_std_grey": [1e308]}, "larger than anything"),
+    ("history/gauss_newton", {"iteration": [1], "residual_std_grey": [1e308]}, "larger than any grey level"),
     ("history/phases", {"seconds": [1.0]}, "no column phase"),
 ])
 def test_a_table_without_what_others_read_of_it_is_damaged(tmp_path: Path, write_result: Write, group: str,

@@ -137,8 +137,8 @@ _COLUMNS = {
 }
 """What others read of a table, by group."""
 
-_LARGEST = 1e100
-"""Beyond which a number of a table is damage: nothing that is measured is as large."""
+_LARGEST_GREY = 1e100
+"""Beyond which a residual is damage: no image has such grey levels."""
 
 
 def require_sound_tables(tables: Mapping[str, Arrays]) -> None:
@@ -151,8 +151,8 @@ def require_sound_tables(tables: Mapping[str, Arrays]) -> None:
             kinds = "OSU" if (group, name) == (schema.PHASES, "phase") else "iuf"
             if values.ndim != 1 or values.dtype.kind not in kinds:
                 raise ValueError(f"{group}/{name}: an array of {values.dtype}, shape {values.shape}")
-            if values.dtype.kind == "f" and (np.abs(values) > _LARGEST).any():
-                raise ValueError(f"{group}/{name}: larger than anything that is measured")
+            if name.endswith("_grey") and (np.abs(values) > _LARGEST_GREY).any():
+                raise ValueError(f"{group}/{name}: larger than any grey level")
         absent = set(_COLUMNS.get(group, ())) - set(columns)
         if columns and absent:
             raise ValueError(f"{group}: no column {min(absent)}")
