@@ -147,7 +147,8 @@ def _make_columns(file: h5py.File) -> None:
     (_number_anew, read_series, "whole numbers expected"),
     (_tell_twice, read_series, "a frame is told of twice"),
     (_take_time, lambda path: read_frame(path, 1), "no time"),
-    (_make_columns, lambda path: find_displacement_range(read_series(path)), "an array of shape"),
+    (_make_columns, lambda path: find_displacement_range(read_series(path)),
+     r"displacement: an array of float64, shape \(\d+, 3, 2\)"),
 ])
 def test_a_damaged_series_is_refused(series: Path, damage: Callable[[h5py.File], None], read: Callable[[Path], object],
                                      reason: str) -> None:

@@ -32,8 +32,8 @@ def require_sound_pieces(grid: Arrays, points: NDArray[Any], point_data: Arrays,
     """
     _require_fitting_pieces(grid, len(points))
     _require_sound_cells(grid)
-    _require_sound_fields({"Points": points, **point_data}, len(points))
-    _require_sound_fields(cell_data, len(grid["Types"]))
+    require_sound_fields({"Points": points, **point_data}, len(points))
+    require_sound_fields(cell_data, len(grid["Types"]))
     _require_sound_ids(point_data, cell_data)
 
 
@@ -73,7 +73,7 @@ def _require_sound_cells(grid: Arrays) -> None:
         raise ValueError("Offsets: cells have other numbers of nodes than their types")
 
 
-def _require_sound_fields(fields: Arrays, n_rows: int) -> None:
+def require_sound_fields(fields: Arrays, n_rows: int) -> None:
     """Refuse fields that are not numbers, or have not a row for each place."""
     for name, values in fields.items():
         counts = _COMPONENTS.get(name, _ANY_COMPONENTS)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.damaged_result import require_sound_frames
+from ddic.io.damaged_result import require_sound_fields, require_sound_frames
 from ddic.io.hdf5_file import READ_ERRORS, open_hdf5, read_array
 from ddic.io.input_file import is_readable_file
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
@@ -78,8 +78,7 @@ class SeriesResult:
             frame = file[schema.frame_group(int(number))]
             if "deformed" not in frame[schema.TIME].attrs:
                 raise ValueError(f"{frame.name}: no time")
-            return read_open_file(self.path, file, rest=frame,
-                                  pick=_build_row_reader(file, step), known=known)
+            return read_open_file(self.path, file, rest=frame, pick=_build_row_reader(file, step), known=known)
 
 
 def is_series_file(path: Path) -> bool:
@@ -169,8 +168,7 @@ def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
     low, high = np.full(2, np.nan), np.full(2, np.nan)
     with opened_result(series.path) as (_, file):
         stored = file[schema.POINT_DATA][schema.DISPLACEMENT]
-        if stored.ndim != 2 or stored.shape[1] != schema.VECTOR:
-            raise ValueError(f"{schema.DISPLACEMENT}: an array of shape {stored.shape}")
+        require_sound_fields({schema.DISPLACEMENT: stored}, len(stored))
         for begin in range(0, len(stored), ROWS):
             displacement = stored[begin:begin + ROWS, :2]
             low = np.fmin(low, np.fmin.reduce(displacement))
