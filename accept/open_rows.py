@@ -18,9 +18,6 @@ OPEN: dict[tuple[str, str], str] = {
     ("clean", "tension"):
         "a dark hole: four cells at its edge are excluded otherwise, and 8 of 110,568 nodes beside them differ by up "
         "to 0.006 px, as much as they are off the truth; standard deviations are not estimated there",
-    ("faults", "bad_inputs"):
-        "six of 4,398 kinds, all of one command, by a check of tables that was too strict and is mended since; these "
-        "and the 17 that had ended otherwise before were tried again, not all kinds",
     ("house", "source"):
         "two of sixteen: formulas of numpy on lines of 120 characters are dense, where models break theirs at 80 to "
         "100; and 2,690 import lines in 27,366 are 9.8 %, since files that were joined took 8 imports each along",
