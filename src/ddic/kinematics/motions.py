@@ -94,16 +94,21 @@ def interpolate_robustly(points: Array, displacement: Array, places: Array, *, s
 def fit_robustly(offsets: Array, displacement: Array) -> Array:
     """Fit an affine map to the displacements of some neighbours, of which some may be wrong.
 
+    The least sum of distances alone follows a wrong neighbour that lies far from all others, hence each weighs by what
+    the others say of its place: 1 less its leverage.
+
     Returns the map's value at each place, (n, 2), pixels, from which the neighbours are at ``offsets``, (n, k, 2).
     """
     spread = np.sqrt((offsets**2).mean(axis=(1, 2), keepdims=True))
     terms = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets / np.maximum(spread, 1e-12)], axis=2)
     ridge = offsets.shape[1] * RIDGE**2 * np.diag([0.0, *np.ones(offsets.shape[2])])
-    weights = np.ones(offsets.shape[:2])
+    inverse = np.linalg.inv(np.einsum("nki,nkj->nij", terms, terms) + ridge)
+    trust = np.maximum(1.0 - np.einsum("nki,nij,nkj->nk", terms, inverse, terms), SMALLEST)
+    weights = trust
     for _ in range(N_ROUNDS):
         weighted = terms * weights[..., None]
         normal = np.einsum("nki,nkj->nij", weighted, terms) + weights.mean(axis=1)[:, None, None] * ridge
         coefficients = np.linalg.solve(normal, np.einsum("nki,nkc->nic", weighted, displacement))
         misfit = np.linalg.norm(terms @ coefficients - displacement, axis=2)
-        weights = 1.0 / np.maximum(misfit, SMALLEST)
+        weights = trust / np.maximum(misfit, SMALLEST)
     return np.asarray(coefficients[:, 0])
