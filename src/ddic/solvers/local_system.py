@@ -213,17 +213,18 @@ class LocalOperator:
         self.n = int(matrix.shape[0])
         csr = (to_petsc_integers(matrix.indptr, f"{where}: entries of its operator"),
                to_petsc_integers(matrix.indices, f"{where}: unknowns"), matrix.data)
-        with PetscStack() as stack:
-            petsc_matrix = stack.keep(PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF))
+        with PetscStack() as stack, PetscStack() as temporary:
+            petsc_matrix = temporary.keep(PETSc.Mat().createAIJ(matrix.shape, csr=csr, comm=PETSc.COMM_SELF))
             petsc_matrix.setOption(PETSc.Mat.Option.SPD, True)
-            self._ksp = stack.keep(create_ksp(PETSc.COMM_SELF, LOCAL))
-            self._ksp.setOperators(petsc_matrix)
-            self._ksp.setFromOptions()
+            ksp = temporary.keep(create_ksp(PETSc.COMM_SELF, LOCAL))
+            ksp.setOperators(petsc_matrix)
+            ksp.setFromOptions()
             try:
-                self._ksp.setUp()
+                ksp.setUp()
             except PETSc.Error as error:
                 raise describe_failure(error, where) from error
-            self._factor = stack.keep(self._ksp.getPC().getFactorMatrix())
+            # All that is kept: solves do not ask for the matrix.
+            self._factor = stack.keep(ksp.getPC().getFactorMatrix())
             self._left = stack.keep(petsc_matrix.createVecLeft())
             self._right = stack.keep(petsc_matrix.createVecRight())
             self._right.setArray(np.random.default_rng(0).standard_normal(self.n))

@@ -141,6 +141,7 @@ LOCAL = "local_"
 DUAL = "dual_"
 COARSE = "coarse_"
 INVERSE = "inverse_"
+SCHUR = "schur_"
 ASSEMBLED = "assembled_"
 CONJUGATE_GRADIENT = "cg_"
 
@@ -170,6 +171,7 @@ DEFAULTS: dict[str, dict[str, str]] = {
         # Null pivots are counted: the inertia tells a singular interface problem.
         "mat_mumps_icntl_24": "1",
     },
+    SCHUR: {**_FACTOR_BY_MUMPS, "ksp_error_if_not_converged": "true"},
     ASSEMBLED: _FACTOR_BY_MUMPS,
     CONJUGATE_GRADIENT: {
         "ksp_type": "cg",
@@ -208,6 +210,47 @@ def _choose_defaults(prefix: str) -> dict[str, str]:
     if defaults.get(PACKAGE) == "mumps" and is_mumps_missing(prefix):
         return REPLICATED if prefix == COARSE else defaults | {PACKAGE: choose_local_package()}
     return defaults
+
+
+_LIBRARY = ctypes.CDLL(PETSc.__file__)
+"""PETSc's own library, for what petsc4py does not offer."""
+
+
+def can_eliminate() -> bool:
+    """Tell whether ``eliminate`` is there: MUMPS does it, and the library that petsc4py loads shows its functions."""
+    return has_package("mumps") and hasattr(_LIBRARY, "MatFactorSetSchurIS")
+
+
+def eliminate(matrix: PETSc.Mat, n: int) -> NDArray[np.float64]:
+    """Eliminate the first n unknowns of a symmetric matrix: the Schur complement of the others, an array.
+
+    ``matrix`` is of type SBAIJ on this rank, with its upper triangle; MUMPS stops where the others begin.
+    """
+    size = matrix.getSize()[0]
+    complement, values = ctypes.c_void_p(), ctypes.POINTER(ctypes.c_double)()
+    with PetscStack() as stack:
+        ksp = stack.keep(create_ksp(PETSc.COMM_SELF, SCHUR))
+        ksp.setOperators(matrix)
+        ksp.setFromOptions()
+        ksp.getPC().setFactorSetUpSolverType()
+        kept = stack.keep(PETSc.IS().createStride(size - n, first=n, step=1, comm=PETSc.COMM_SELF))
+        factor = ctypes.c_void_p(ksp.getPC().getFactorMatrix().handle)
+        _check(_LIBRARY.MatFactorSetSchurIS(factor, ctypes.c_void_p(kept.handle)))
+        ksp.setUp()
+        _check(_LIBRARY.MatFactorCreateSchurComplement(factor, ctypes.byref(complement), None))
+        try:
+            _check(_LIBRARY.MatDenseGetArray(complement, ctypes.byref(values)))
+            # Both triangles hold it, the one to rounding as the other.
+            below = np.tril(np.ctypeslib.as_array(values, shape=(size - n, size - n)))
+        finally:
+            _LIBRARY.MatDestroy(ctypes.byref(complement))
+    return below + np.tril(below, -1).T
+
+
+def _check(code: int) -> None:
+    """Raise what PETSc's functions report by their number."""
+    if code:
+        raise PETSc.Error(code)
 
 
 class Destroyable(Protocol):
@@ -249,7 +292,7 @@ def list_unused_options(team: Team, words: Sequence[str]) -> list[str]:
 
 def _is_used(name: str) -> bool:
     """Whether PETSc has looked for an option; petsc4py does not say it, the library that it is linked with does."""
-    ask = getattr(ctypes.CDLL(PETSc.__file__), "PetscOptionsUsed", None)
+    ask = getattr(_LIBRARY, "PetscOptionsUsed", None)
     if ask is None:
         # Where the library hides its names, nothing is known, and nobody is warned in vain.
         return True

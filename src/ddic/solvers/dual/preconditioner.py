@@ -27,7 +27,15 @@ from ddic.solvers.dual.coarse_space import (
 )
 from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, LocalDual, list_places
 from ddic.solvers.exchange import Exchange, fetch_copies
-from ddic.solvers.petsc import INVERSE, PetscStack, create_ksp, is_mumps_missing, to_petsc_integers
+from ddic.solvers.petsc import (
+    INVERSE,
+    PetscStack,
+    can_eliminate,
+    create_ksp,
+    eliminate,
+    is_mumps_missing,
+    to_petsc_integers,
+)
 
 
 class Preconditioning(Protocol):
@@ -109,7 +117,14 @@ of the precision of a number."""
 
 
 def assemble_schur(local: LocalDual) -> Array:
-    """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, symmetric, Eq. 36 of [BP17]."""
+    """Assemble S_s = T_s A_s^-1 T_s^T - D_s of one subdomain, symmetric, Eq. 36 of [BP17].
+
+    With A_s eliminated from the saddle point of ``SparseInverse``, -S_s is left: a third of the time of as many solves
+    with A_s as there are interface unknowns.
+    """
+    if can_eliminate():
+        with PetscStack() as stack:
+            return -eliminate(stack.keep(_build_saddle_point(local)), local.operator.n)
     schur = local.multiply_schur(np.eye(len(local.compliance)))
     return np.asarray(0.5 * (schur + schur.T))
 
