@@ -179,7 +179,8 @@ DEFAULTS: dict[str, dict[str, str]] = {
         "pc_type": "jacobi",
     },
     DUAL: {
-        "ksp_type": "gmres",
+        # Keeps what the preconditioner gave for each direction: its products in single precision cost no digit.
+        "ksp_type": "fgmres",
         "ksp_pc_side": "right",
         "ksp_norm_type": "unpreconditioned",
         "ksp_gmres_modifiedgramschmidt": "",

@@ -276,7 +276,7 @@ class InterfaceSolver:
         """Set up the Krylov solver, the user's options last."""
         n_rows, max_iterations = max(self.multipliers.getSize(), 1), settings.max_iterations
         self.ksp.setTolerances(rtol=settings.tolerance, atol=UNREACHED, divtol=1e12, max_it=max_iterations)
-        self.ksp.setType(PETSc.KSP.Type.GMRES)
+        self.ksp.setType(PETSc.KSP.Type.FGMRES)
         self.ksp.setGMRESRestart(min(max_iterations, n_rows) + 1)
         self.ksp.setConvergenceHistory(length=max_iterations + 2, reset=True)
         pc = self.ksp.getPC()
