@@ -245,7 +245,8 @@ def eliminate(matrix: PETSc.Mat, n: int) -> NDArray[np.float64]:
             below = np.tril(np.ctypeslib.as_array(values, shape=(size - n, size - n)))
         finally:
             _LIBRARY.MatDestroy(ctypes.byref(complement))
-    return below + np.tril(below, -1).T
+    whole: NDArray[np.float64] = below + np.tril(below, -1).T
+    return whole
 
 
 def _check(code: int) -> None:

@@ -103,5 +103,6 @@ def test_application_sums_the_local_terms_and_is_symmetric() -> None:
             expected[exchange.ghosts] += local.incidence @ inverse.apply(on_interface)
         expected = cut.team.sum(expected)
         difference = np.abs(px.getArray() - expected[begin:end]).max(initial=0.0)
-    assert asymmetry <= 1e-12
+    # Of arrays in single precision.
+    assert asymmetry <= 1e-6
     assert difference <= 1e-12 * np.abs(expected).max()
