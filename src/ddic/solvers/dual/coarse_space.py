@@ -29,6 +29,12 @@ SHIFT = 1e-13
 modes); such a combination is no interface vector at all, and the shift keeps the factorisation from breaking on it. A
 larger one makes the coarse solution less exact."""
 
+N_JUMPS, N_REACTIONS = 12, 13
+"""Modes of a subdomain whose jumps, and whose reactions, are coarse vectors; the softest, which hardly strain it, have
+next to no reactions. More save iterations (docs/solver.md) and make the coarse problem larger, which is what limits the
+number of subdomains. The spectrum does not tell which to leave out: with its boundary free a subdomain has as many soft
+modes as boundary unknowns, at any cut-off wavelength."""
+
 SchurProduct = Callable[[Array], Array]
 """S_s X from X, both (n interface unknowns, k)."""
 
@@ -72,9 +78,9 @@ class CoarsePart:
 
 
 def build_coarse_columns(modes: Array, local: LocalDual) -> CoarseColumns:
-    """Build a subdomain's coarse vectors, at most 2 k of k modes: their traces and reactions make separate ones."""
+    """Build a subdomain's coarse vectors from its modes: their traces and reactions make separate ones."""
     traces = local.trace @ modes
-    of_jumps = _find_basis(traces[:local.n_jumps])
+    of_jumps = _find_basis(traces[:local.n_jumps, :N_JUMPS])
     of_reactions = _find_basis(traces[local.n_jumps:])
     signs = np.repeat([1.0, -1.0], [of_jumps.shape[1], of_reactions.shape[1]])
     return CoarseColumns(np.asarray(linalg.block_diag(of_jumps, of_reactions)), signs)
@@ -187,13 +193,6 @@ SOFTENING = 0.03
 """Weight of the interface rows of Kbar_s in the energy whose modes are sought. A reaction at the interface is balanced
 by the neighbours' in the coupled problem, so that A_s with its full rows counts as stiff what the whole finds soft."""
 
-FEW, MANY = 16, 40
-"""Modes a subdomain: few where texture alone holds the lowest modes (l_c below the subdomain's size), else many. More
-save iterations and make the coarse problem larger."""
-
-FLAT = 10.0
-"""The spectrum counts as flat, hence held by texture, where the last of the few is below this many times the first."""
-
 _SWEEPS = 4
 """Inverse iterations: more bring the block nearer to the eigenvectors, each for a solve with all its columns."""
 
@@ -205,12 +204,12 @@ def find_low_energy_modes(system: LocalSystem, operator: LocalOperator) -> Array
     """Find the lowest eigenvectors of A_s with softened interface rows, by block inverse iteration from polynomials.
 
     A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse space needs their span, not each of
-    them. The modes, (n_field, FEW or MANY, or fewer), are orthonormal; ``system`` is without the motion of its camera.
+    them. The modes, (n_field, N_REACTIONS or fewer), are orthonormal; ``system`` is without the motion of its camera.
     """
     kinematics = system.subdomain.kinematics
     # More modes than half the interface unknowns would make the coarse problem the interface problem.
     n_useful = max(len(system.subdomain.jumps.unknowns) // 2, 1)
-    n_wanted = min(MANY, kinematics.n_unknowns, n_useful)
+    n_wanted = min(N_REACTIONS, kinematics.n_unknowns, n_useful)
     n_columns = min(n_wanted + _EXTRA, kinematics.n_unknowns)
     matrix = _soften(system)
     with PetscStack() as stack:
@@ -220,11 +219,8 @@ def find_low_energy_modes(system: LocalSystem, operator: LocalOperator) -> Array
         block = _orthonormalize(_make_start(kinematics, n_columns))
         for _ in range(_SWEEPS):
             block = _orthonormalize(factor.solve_many(block))
-    energies, rotation = linalg.eigh(block.T @ (matrix @ block))
-    n_few = min(FEW, n_wanted)
-    is_flat = energies[n_few - 1] < FLAT * energies[0]
-    n_kept = n_few if is_flat else n_wanted
-    return np.asarray(block @ rotation[:, :n_kept])
+    rotation = linalg.eigh(block.T @ (matrix @ block))[1]
+    return np.asarray(block @ rotation[:, :n_wanted])
 
 
 def _soften(system: LocalSystem) -> sparse.csr_matrix:
