@@ -180,6 +180,8 @@ def test_exchanges_reach_those_they_are_for_and_no_others(team: Team) -> None:
 def test_sums_largest_and_offsets_over_ranks(team: Team) -> None:
     assert team.sum(team.rank + 1) == team.size * (team.size + 1) // 2
     assert team.maximum(float(team.rank)) == team.size - 1
+    # Of equal first entries the largest second one.
+    assert team.maximum((1.5, team.rank)) == (1.5, team.size - 1)
     assert team.offset(team.rank + 2) == sum(rank + 2 for rank in range(team.rank))
     # Neither in C's order nor contiguous.
     mine = np.arange(12.0).reshape(4, 3).T[:, ::2] + team.rank

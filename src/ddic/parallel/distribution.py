@@ -14,7 +14,7 @@ from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
-from ddic.separated.band_sums import BandSums, sum_groups, sum_neighbours
+from ddic.separated.band_sums import BandSums
 
 HALVINGS = 60
 """Halvings of the interval that holds the smallest possible largest cost: enough for the last bit of a float, and more
@@ -183,7 +183,7 @@ class TeamSums(BandSums):
 
     def add_up(self, of_bands: Iterable[Array]) -> Array:
         """Sum arrays of one shape; only sums of groups of bands are sent."""
-        return sum_groups(self.team.gather_lists([sum_neighbours(self.first, of_bands)]))
+        return self.team.sum_numbered(self.first, of_bands)
 
     def join(self, of_bands: Iterable[Array]) -> Array:
         """Put arrays side by side along their last axis."""

@@ -18,6 +18,7 @@ from mpi4py import MPI
 
 from ddic.arrays import Array
 from ddic.errors import DdicError, as_collective
+from ddic.grouped_sums import group_terms, merge_groups, sum_groups
 from ddic.parallel.stop_request import StopRequest
 
 
@@ -85,6 +86,7 @@ class Waiting:
 
 T = TypeVar("T")
 Summable = TypeVar("Summable", int, float, Array)
+Comparable = TypeVar("Comparable", int, float, Array, tuple[float, int])
 
 _SENT, _EXCHANGED = 1, 2
 """Tags that keep apart items sent one by one and those of an exchange."""
@@ -217,8 +219,19 @@ class Team:
 
         The sum is that of all ranks and does not depend, to the last bit, on how subdomains are spread over ranks.
         """
-        everything = self.gather_lists([np.asarray(v, dtype=np.float64) for v in values])
-        return np.asarray(np.sum(np.stack(everything), axis=0))
+        return self.sum_numbered(self.offset(len(values)), [np.asarray(v, dtype=np.float64) for v in values])
+
+    def sum_numbered(self, first: int, terms: Iterable[Array]) -> Array:
+        """Sum arrays of one shape over all ranks; this rank's are those from number ``first`` on.
+
+        The sum does not depend, to the last bit, on how they are spread over ranks.
+        """
+        groups = group_terms(first, terms)
+        if self.size > 1:
+            with self._all_here():
+                # A tree of messages, each with the few groups that wait for a neighbour.
+                groups = self.comm.allreduce(groups, op=merge_groups)
+        return sum_groups(groups)
 
     def sum(self, value: Summable) -> Summable:
         """Sum a number, or an array of one shape on all ranks, over ranks; the same on all ranks.
@@ -227,19 +240,23 @@ class Team:
         """
         return self._reduce(value, MPI.SUM)
 
-    def maximum(self, value: Summable) -> Summable:
-        """Find the largest number over ranks, entry by entry of an array of one shape; the same on all ranks."""
+    def maximum(self, value: Comparable) -> Comparable:
+        """Find the largest number or tuple over ranks, entry by entry of an array of one shape; the same on all."""
         return self._reduce(value, MPI.MAX)
 
     def offset(self, count: int) -> int:
         """Sum a count over the ranks below this one: where this rank's numbers begin."""
-        counts = self.gather_lists([count])
-        return sum(counts[: self.rank])
+        below = np.zeros(1, np.int64)
+        if self.size > 1:
+            with self._all_here():
+                MPI.Intracomm(self.comm).Exscan(np.array([count]), below)
+        # MPI leaves rank 0's undefined.
+        return 0 if self.is_root else int(below[0])
 
-    def _reduce(self, value: Summable, operation: MPI.Op) -> Summable:
+    def _reduce(self, value: T, operation: MPI.Op) -> T:
         with self._all_here():
             if not isinstance(value, np.ndarray):
-                result: Summable = self.comm.allreduce(value, op=operation)
+                result: T = self.comm.allreduce(value, op=operation)
                 return result
             total = np.empty_like(value, order="C")
             self.comm.Allreduce(np.ascontiguousarray(value), total, op=operation)
@@ -278,15 +295,22 @@ class Team:
 
         ``items`` are by rank that they go to; the result is by rank that they come from, in its order.
         """
-        goes_to = np.zeros(self.size, np.int32)
-        goes_to[list(items)] = 1
-        n_coming = np.zeros(1, np.int32)
+        received: list[tuple[int, T]] = []
+        # No rank sends before all have come here, hence none mixes two exchanges.
         with self._all_here():
-            # No rank ends this sum before all have begun it, hence none mixes two exchanges.
-            self.comm.Reduce_scatter_block(goes_to, n_coming)
-            sends = [self.comm.isend((self.rank, item), dest=to, tag=_EXCHANGED) for to, item in items.items()]
-            received: list[tuple[int, T]] = [self.comm.recv(tag=_EXCHANGED) for _ in range(int(n_coming[0]))]
-            MPI.Request.waitall(sends)
+            sends = [self.comm.issend((self.rank, item), dest=to, tag=_EXCHANGED) for to, item in items.items()]
+            all_sent: MPI.Request | None = None
+
+            def has_all() -> bool:
+                nonlocal all_sent
+                while self.comm.Iprobe(tag=_EXCHANGED):
+                    received.append(self.comm.recv(tag=_EXCHANGED))
+                # A synchronous send ends once its item was received: when all ranks' have, nothing more can come.
+                if all_sent is None and MPI.Request.Testall(sends):
+                    all_sent = self.comm.Ibarrier()
+                return all_sent is not None and bool(all_sent.Test())
+
+            self.waiting.wait_until(has_all)
         return dict(sorted(received, key=lambda pair: pair[0]))
 
     def send_from_root(self, item: T | None, to: int) -> T | None:

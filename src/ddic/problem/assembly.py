@@ -170,7 +170,7 @@ def _mean_diagonal(team: Team, subdomains: Sequence[Subdomain], hessians: Sequen
         of_first = np.array([hessian.diagonal()[:n_field].sum(), n_field])
         shares.append(of_first * float(subdomain.camera == 0))
     total, n_unknowns = team.ordered_sum(shares)
-    several_cameras = any(team.gather_lists([subdomain.camera for subdomain in subdomains]))
+    several_cameras = team.maximum(max(subdomain.camera for subdomain in subdomains)) > 0
     return float(total) / (float(n_unknowns) if several_cameras else region.n_field)
 
 

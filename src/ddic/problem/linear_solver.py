@@ -181,8 +181,9 @@ def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain
         return case.solver.preconditioner
     wavelength = compute_cut_off_wavelength(case)
     # Of a square or cube as large as the subdomain's box, pixels.
-    sides = team.gather_lists([float(np.prod(np.ptp(s.mesh.nodes, axis=0)) ** (1 / s.mesh.dim)) for s in subdomains])
-    is_slow = len(sides) >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * float(np.mean(sides))
+    total, n_subdomains = team.ordered_sum([
+        np.array([np.prod(np.ptp(s.mesh.nodes, axis=0)) ** (1 / s.mesh.dim), 1.0]) for s in subdomains])
+    is_slow = n_subdomains >= MANY_SUBDOMAINS and wavelength >= LONG_WAVELENGTH * total / n_subdomains
     return "two_level" if is_slow else "scaled"
 
 

@@ -123,7 +123,7 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
         subdomains, region = scatter_region(team, region_mesh, parts)
     with clock.phase(Phase.READ):
         views = team.together(lambda: read_reference_views(case, inputs.cameras, subdomains))
-        n_pixels = sum(team.gather_lists([view.n_pixels for view in views.flat]))
+        n_pixels = team.sum(sum(view.n_pixels for view in views.flat))
     with clock.phase(Phase.ASSEMBLE):
         hessians = assemble_hessians(team, clock.note_each(views))
     notes = (*inputs.notes, *notes, *region.notes, *note_crowded_cores(team, case.solver.threads),

@@ -117,7 +117,7 @@ def measure_correction(dq: Field, q: Field, weights: Sequence[Array] | None = No
         sums.append(np.array([*of_change, *_sum_moments(s, u)]))
     of_correction, known_squares, n_slow, *of_field = q.team.ordered_sum(sums)
     most_by_subdomain = [(float(change.max()), s.index) for change, s in zip(changes, q.subdomains, strict=True)]
-    most, subdomain = max(q.team.gather_lists(most_by_subdomain))
+    most, subdomain = q.team.maximum(max(most_by_subdomain))
     n_nodes = of_field[0]
     if not np.isfinite([of_correction, *of_field]).all():
         return CorrectionSize(np.inf, np.inf, np.inf, subdomain, np.inf, round(n_nodes))

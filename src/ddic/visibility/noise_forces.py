@@ -285,8 +285,8 @@ def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
     """Tell each cell's column and row of cells, (n_cells, 2), as in a regular mesh of as many cells; collective."""
     area, n_cells = team.ordered_sum([np.array([measure_covered_areas(s.mesh)[0].sum(), s.mesh.n_cells])
                                       for s in subdomains])
-    firsts = team.gather_lists([s.mesh.centroids.min(axis=0) for s in subdomains])
-    first, size = np.min(firsts, axis=0), np.sqrt(area / n_cells)
+    lowest = np.min([s.mesh.centroids.min(axis=0) for s in subdomains], axis=0)
+    first, size = -team.maximum(-lowest), np.sqrt(area / n_cells)
     # The cells of a regular mesh lie in the middle of their places: rounding decides nothing.
     return [np.floor((s.mesh.centroids - first) / size + 0.5).astype(np.int64) for s in subdomains]
 
@@ -356,11 +356,9 @@ def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Fiel
 def _measure_at_rest(problem: WeightedProblem, path: Path) -> float:
     """Noise of the reference image and another one of the specimen as it is there; collective."""
     team, reference = problem.team, problem.reference.inputs.cameras[0].reference.image
-    boxes = team.gather_lists([(s.mesh.nodes.min(axis=0), s.mesh.nodes.max(axis=0))
-                               for s in problem.reference.subdomains])
-    low = np.min([box[0] for box in boxes], axis=0).astype(int)
-    high = np.max([box[1] for box in boxes], axis=0).astype(int)
-    window = Window.between(low, high).intersection(reference.extent)
+    nodes = np.concatenate([s.mesh.nodes for s in problem.reference.subdomains])
+    low, high = -team.maximum(-nodes.min(axis=0)), team.maximum(nodes.max(axis=0))
+    window = Window.between(low.astype(int), high.astype(int)).intersection(reference.extent)
     noise = team.on_root(lambda: estimate_rest_noise(reference, hold_image(path), window))
     if not np.isfinite(noise):
         raise as_collective(InputError(f"images.at_rest: {path}: the mesh covers fewer than {BLOCK} x {BLOCK} px, from "
