@@ -16,7 +16,7 @@ Groups = dict[Place, Array]
 to the sum of all terms by the same additions, whichever terms he has seen himself."""
 
 
-def group_terms(first: int, terms: Iterable[Array]) -> Groups:
+def sum_neighbours(first: int, terms: Iterable[Array]) -> Groups:
     """Add up arrays of one shape whose numbers follow each other from ``first``, as far as neighbours are there."""
     groups: Groups = {}
     for number, values in enumerate(terms, start=first):

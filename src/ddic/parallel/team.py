@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from ddic.arrays import Array
 from ddic.errors import DdicError, as_collective
-from ddic.grouped_sums import group_terms, merge_groups, sum_groups
+from ddic.grouped_sums import sum_neighbours, merge_groups, sum_groups
 from ddic.parallel.stop_request import StopRequest
 
 
@@ -226,7 +226,7 @@ class Team:
 
         The sum does not depend, to the last bit, on how they are spread over ranks.
         """
-        groups = group_terms(first, terms)
+        groups = sum_neighbours(first, terms)
         if self.size > 1:
             with self._all_here():
                 # A tree of messages, each with the few groups that wait for a neighbour.
