@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from ddic.arrays import Array
 from ddic.errors import DdicError, as_collective
-from ddic.grouped_sums import sum_neighbours, merge_groups, sum_groups
+from ddic.grouped_sums import merge_groups, sum_groups, sum_neighbours
 from ddic.parallel.stop_request import StopRequest
 
 
