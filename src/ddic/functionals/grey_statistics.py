@@ -110,7 +110,11 @@ def find_weighted_quantile(values: Array, weights: Array, share: float) -> float
 
     There is at least one value; weights are not negative, and not all of them 0.
     """
-    left = share * weights.sum()
+    return find_value_at(values, weights, share * weights.sum())
+
+
+def find_value_at(values: Array, weights: Array, left: float) -> float:
+    """Find the one of the values, at least one, below which lies some weight, of all of them at most."""
     # To sort all of them would take five times as long.
     while len(values) > FEW:
         middle = len(values) // 2

@@ -12,6 +12,7 @@ import numpy as np
 
 from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
+from ddic.functionals.grey_statistics import find_value_at
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.separated.band_sums import BandSums
@@ -164,6 +165,44 @@ def _add_up(received: dict[int, tuple[IntArray, IntArray, Array]]) -> dict[int, 
     np.add.at(added, number[order], values[order])
     ends = np.cumsum([len(sent[0]) for sent in received.values()])[:-1]
     return dict(zip(received, np.split(added[number], ends), strict=True))
+
+
+GATHERED = 2**14
+"""Values of all ranks that each of them may hold. A larger number takes less time on few ranks, more on many."""
+
+N_INTERVALS = 1024
+"""Intervals in which the weight of more values than that is counted at once: what ranks send, 16 kB."""
+
+
+def find_median_of_all(team: Team, values: Array, weights: Array) -> float | None:
+    """Find the value below which lies half of the weight of all ranks' values, exactly; collective.
+
+    ``values`` are this rank's, finite, (n,), and ``weights``, not negative, theirs; whole numbers give the same median
+    on any number of ranks. Of many values ranks agree on the interval that holds it, and within that on another one,
+    until few are left. None where nothing has a weight.
+    """
+    total, n_left = team.sum(np.array([weights.sum(), len(values)]))
+    if total == 0:
+        return None
+    left = 0.5 * total
+    while n_left > GATHERED:
+        low = -team.maximum(-float(values.min(initial=np.inf)))
+        high = team.maximum(float(values.max(initial=-np.inf)))
+        if low == high:
+            return low
+        edges = np.linspace(low, high, N_INTERVALS + 1)[1:-1]
+        interval = np.searchsorted(edges, values, side="right")
+        mine = [np.bincount(interval, counted, minlength=N_INTERVALS) for counted in (weights, np.ones(len(values)))]
+        weight_of, n_in = team.sum(np.array(mine, dtype=np.float64))
+        below = np.cumsum(weight_of)
+        chosen = int(np.searchsorted(below, left))
+        left -= below[chosen - 1] if chosen else 0.0
+        n_left = n_in[chosen]
+        is_inside = interval == chosen
+        values, weights = values[is_inside], weights[is_inside]
+    gathered = team.gather_lists([(values, weights)])
+    all_values, all_weights = (np.concatenate(arrays) for arrays in zip(*gathered, strict=True))
+    return find_value_at(all_values, all_weights, left)
 
 
 @dataclass(frozen=True)

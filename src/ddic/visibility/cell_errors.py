@@ -13,9 +13,9 @@ from scipy.sparse.csgraph import connected_components
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Residual
-from ddic.functionals.grey_statistics import find_weighted_median
 from ddic.functionals.view import View
 from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
+from ddic.parallel.distribution import find_median_of_all
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import find_displaced_nodes, find_unseen_unknowns
@@ -107,13 +107,13 @@ def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[Cel
     An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / 2. Most pixels are
     taken to be right: the median of each camera's variances, cells weighted by their pixels, is that of the noise.
     """
-    everything = team.gather_lists([(of_cells.camera, of_cells.variance, of_cells.n_pixels) for of_cells in residuals])
-    noise = {}
-    for camera in {camera for camera, _, _ in everything}:
-        variances = np.concatenate([variance for number, variance, _ in everything if number == camera])
-        n_pixels = np.concatenate([n for number, _, n in everything if number == camera])
+    noise = []
+    for camera in range(team.maximum(max(of_cells.camera for of_cells in residuals)) + 1):
+        mine = [of_cells for of_cells in residuals if of_cells.camera == camera]
+        variances, n_pixels = (np.concatenate([np.zeros(0), *arrays]) for arrays in (
+            [of_cells.variance for of_cells in mine], [of_cells.n_pixels for of_cells in mine]))
         measured = np.isfinite(variances)
-        noise[camera] = find_weighted_median(variances[measured], n_pixels[measured]) if measured.any() else 0.0
+        noise.append(find_median_of_all(team, variances[measured], n_pixels[measured]) or 0.0)
     return [_find_errors(of_cells, noise[of_cells.camera]) for of_cells in residuals]
 
 

@@ -39,6 +39,7 @@ from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, estimate_rest_noise
 from ddic.images.window import Window
 from ddic.io.image_file import hold_image
 from ddic.mesh.quality import measure_covered_areas
+from ddic.parallel.distribution import find_median_of_all
 from ddic.parallel.field import ByView, Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -349,8 +350,11 @@ def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Fiel
             # The median of a mean of n squares is below their expectation (Wilson and Hilferty, PNAS 17, 1931).
             variances = squares / n / (1.0 + gain**2 * transfer) / (1.0 - 2.0 / (9.0 * n)) ** 3
         found.append(variances[n > 1])
-    everywhere = np.concatenate(model.team.gather_lists(found))
-    return float(np.sqrt(np.median(everywhere))) if len(everywhere) else 0.0
+    variances = np.concatenate(found)
+    ones = np.ones(len(variances))
+    lower, negative_upper = (find_median_of_all(model.team, sign * variances, ones) for sign in (1.0, -1.0))
+    # The two middle ones of an even number.
+    return 0.0 if lower is None or negative_upper is None else float(np.sqrt(0.5 * (lower - negative_upper)))
 
 
 def _measure_at_rest(problem: WeightedProblem, path: Path) -> float:
