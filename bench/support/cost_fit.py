@@ -47,7 +47,7 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
     products = [_fit_product(cg, is_regularized=kind) for kind in (False, True)]
     return CostConstants(
         system_memory=_fit_pair([(r["n_dofs"] / r["n_ranks"], 1.0) for r in cg],
-                                [max(r["before_setup_bytes"]) for r in cg])[0],
+                                [max(r["peak_memory_bytes"]) for r in cg])[0],
         whole=_by_kind(alone, lambda r: r["setup_cpu"], _memory),
         whole_solve=_median(r["solve_cpu"] / _logarithmic(r["n_dofs"]) for r in alone),
         parallel_factor=_by_parallel(assembled),
@@ -56,7 +56,7 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
         local_solve=local_solve,
         interface=_fit_interface(scaled, local_costs, has_arrays=True),
         sparse_interface=_fit_interface(scaled, local_costs, has_arrays=False),
-        coarse_set_up=_fit_coarse(scaled, two_level),
+        coarse_set_up=_fit_coarse(scaled, _regularized(two_level)),
         dual_product=_fit_dual_product([*scaled, *two_level], local_solve),
         one_level_iterations=_fit_pair([(1.0, _waves(r)) for r in scaled], [r["inexact_iterations"] for r in scaled]),
         two_level_iterations=_median(r["inexact_iterations"] for r in two_level),
@@ -151,11 +151,8 @@ def _round(value: float) -> float:
 
 
 def _fit_local(whole: Sequence[Record], dual: Sequence[Record]) -> tuple[Factor, Factor]:
-    """Seconds of factors of all sizes; bytes of those of the whole, which nothing else is beside."""
-    seconds = _by_kind([*whole, *dual], _local_seconds, _memory)
-    memory = _by_kind(whole, _local_seconds, _memory)
-    without, with_gap = (Factor(s.seconds, m.memory) for s, m in zip(seconds, memory, strict=True))
-    return without, with_gap
+    """Cost of factors of all sizes; their memory is taken to be all of a subdomain's, as most of it is."""
+    return _by_kind([*whole, *dual], _local_seconds, _memory)
 
 
 def _fit_interface(scaled: Sequence[Record], local: tuple[Factor, Factor], *,

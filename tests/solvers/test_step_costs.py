@@ -31,7 +31,7 @@ def test_iterations_grow_with_the_square_of_the_cut_off_wavelength() -> None:
     assert long == pytest.approx(262, rel=0.25)
 
 
-@pytest.mark.parametrize(("wavelength", "way"), [(0.0, "cg"), (8.0, "cg"), (50.0, "assembled")])
+@pytest.mark.parametrize(("wavelength", "way"), [(0.0, "cg"), (8.0, "cg"), (32.0, "one"), (100.0, "assembled")])
 def test_the_fastest_way_is_that_of_the_measurements(wavelength: float, way: str) -> None:
     seconds = {name: costs(name, wavelength=wavelength).seconds for name in WAYS}
     assert min(seconds, key=seconds.__getitem__) == way
@@ -61,8 +61,9 @@ def test_the_factor_of_the_only_subdomain_has_no_interface(wavelength: float) ->
 
 def test_conjugate_gradients_take_least_memory() -> None:
     memory = {way: costs(way, n_unknowns=4_000_000, n_cells=2_000_000).memory for way in ("cg", "one", "assembled")}
-    # On two ranks of 10 GiB four million unknowns took 3.83 GiB this way, and did not fit otherwise (docs/solver.md).
-    assert memory["cg"] == pytest.approx(3.83 * 2**30, rel=0.25)
+    # On two ranks of 10 GiB four million unknowns took 1.82 GiB this way, of which the program itself takes 0.23, and did
+    # not fit otherwise (docs/solver.md).
+    assert memory["cg"] == pytest.approx(1.59 * 2**30, rel=0.25)
     assert min(memory["one"], memory["assembled"]) > 10 * 2**30
 
 
