@@ -108,7 +108,8 @@ def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[Cel
     taken to be right: the median of each camera's variances, cells weighted by their pixels, is that of the noise.
     """
     noise = []
-    for camera in range(team.maximum(max(of_cells.camera for of_cells in residuals)) + 1):
+    # A rank may have none: PGD-DIC's cells are all on rank 0.
+    for camera in range(team.maximum(max((of_cells.camera for of_cells in residuals), default=0)) + 1):
         mine = [of_cells for of_cells in residuals if of_cells.camera == camera]
         variances, n_pixels = (np.concatenate([np.zeros(0), *arrays]) for arrays in (
             [of_cells.variance for of_cells in mine], [of_cells.n_pixels for of_cells in mine]))

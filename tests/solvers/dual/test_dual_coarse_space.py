@@ -8,6 +8,7 @@ from scipy import linalg, sparse
 
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import scaled_incidence
+from ddic.solvers.dual import coarse_space
 from ddic.solvers.dual.coarse_space import CoarsePart, CoarseSpace, _soften, build_coarse_columns, find_low_energy_modes
 from ddic.solvers.dual.dual_problem import DualSchurOperator
 from ddic.solvers.dual.dual_step import DualSettings
@@ -23,8 +24,11 @@ from support.linear import Decomposed, linear_step, split
 RANKS = [1, 2, 3, 4]
 
 
+@pytest.mark.parametrize(("sweeps", "most"), [(2, 2.0), (30, 1.01)])
 @pytest.mark.parametrize("wavelength", [None, 32.0, 128.0])
-def test_modes_span_the_lowest_eigenvectors(wavelength: float | None) -> None:
+def test_modes_span_the_lowest_eigenvectors(wavelength: float | None, sweeps: int, most: float,
+                                            monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coarse_space, "_SWEEPS", sweeps)
     problem = linear_step(wavelength=wavelength)
     parts = split(problem.mesh, "metis", 4)
     with Decomposed(Team.alone(), problem, parts, "consistent") as cut:
@@ -36,10 +40,10 @@ def test_modes_span_the_lowest_eigenvectors(wavelength: float | None) -> None:
     energies = np.einsum("ik,ik->k", modes, softened @ modes)
     assert n >= 12
     np.testing.assert_allclose(modes.T @ modes, np.eye(n), atol=1e-12)
-    # Four sweeps with eight spare vectors: Ritz values are within a fifth of the eigenvalues, which is
-    # all that a coarse space needs; they can only lie above.
+    # Ritz values can only lie above the eigenvalues, and come down to them with sweeps. Two sweeps leave them within
+    # twice, which is all that a coarse space needs: more save no iterations (docs/solver.md).
     assert (energies >= values[:n] * (1 - 1e-9)).all()
-    assert (energies <= 1.2 * values[:n]).all()
+    assert (energies <= most * values[:n]).all()
 
 
 def test_a_subdomain_smaller_than_the_number_of_modes_gives_what_it_has() -> None:

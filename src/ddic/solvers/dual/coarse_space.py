@@ -193,10 +193,10 @@ SOFTENING = 0.03
 """Weight of the interface rows of Kbar_s in the energy whose modes are sought. A reaction at the interface is balanced
 by the neighbours' in the coupled problem, so that A_s with its full rows counts as stiff what the whole finds soft."""
 
-_SWEEPS = 4
+_SWEEPS = 2
 """Inverse iterations: more bring the block nearer to the eigenvectors, each for a solve with all its columns."""
 
-_EXTRA = 8
+_EXTRA = 4
 """Vectors beyond those wanted, which make the iteration converge faster."""
 
 
