@@ -61,8 +61,8 @@ def test_the_factor_of_the_only_subdomain_has_no_interface(wavelength: float) ->
 
 def test_conjugate_gradients_take_least_memory() -> None:
     memory = {way: costs(way, n_unknowns=4_000_000, n_cells=2_000_000).memory for way in ("cg", "one", "assembled")}
-    # On two ranks of 10 GiB four million unknowns took 1.82 GiB this way, of which the program itself takes 0.23, and did
-    # not fit otherwise (docs/solver.md).
+    # On two ranks of 10 GiB four million unknowns took 1.82 GiB this way, of which the program itself takes 0.23, and
+    # did not fit otherwise (docs/solver.md).
     assert memory["cg"] == pytest.approx(1.59 * 2**30, rel=0.25)
     assert min(memory["one"], memory["assembled"]) > 10 * 2**30
 
