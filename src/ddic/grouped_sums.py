@@ -1,8 +1,4 @@
-"""Sums that are rounded alike however their terms are spread, and that need a few numbers from each who has some.
-
-Terms are numbered, and added up in pairs, pairs of pairs and so on. Who has terms that follow each other adds up whole
-groups, few of which wait for a neighbour.
-"""
+"""Sums that are rounded alike however their terms are spread: in pairs of neighbours, pairs of pairs and so on."""
 
 from collections.abc import Iterable
 
