@@ -8,8 +8,7 @@ Place = tuple[int, int]
 """Level and number of a group of terms: group i of level l holds the terms i 2^l to (i + 1) 2^l - 1."""
 
 Groups = dict[Place, Array]
-"""Sums of groups that wait for a neighbour; two neighbours become one group as soon as both are there. Everybody comes
-to the sum of all terms by the same additions, whichever terms he has seen himself."""
+"""Sums of groups that wait for a neighbour; two neighbours become one group as soon as both are there."""
 
 
 def sum_neighbours(first: int, terms: Iterable[Array]) -> Groups:

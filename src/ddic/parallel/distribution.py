@@ -175,11 +175,10 @@ N_INTERVALS = 1024
 
 
 def find_median_of_all(team: Team, values: Array, weights: Array) -> float | None:
-    """Find the value below which lies half of the weight of all ranks' values, exactly; collective.
+    """Find the value below which lies half of the weight of all ranks' values; None without any weight; collective.
 
-    ``values`` are this rank's, finite, (n,), and ``weights``, not negative, theirs; whole numbers give the same median
-    on any number of ranks. Of many values ranks agree on the interval that holds it, and within that on another one,
-    until few are left. None where nothing has a weight.
+    Of many values ranks agree on the interval that holds it, and within that on another one, until few are left. Whole
+    numbers as ``weights`` give the same median on any number of ranks; values are finite, both are (n,).
     """
     total, n_left = team.sum(np.array([weights.sum(), len(values)]))
     if total == 0:

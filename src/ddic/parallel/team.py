@@ -222,10 +222,7 @@ class Team:
         return self.sum_numbered(self.offset(len(values)), [np.asarray(v, dtype=np.float64) for v in values])
 
     def sum_numbered(self, first: int, terms: Iterable[Array]) -> Array:
-        """Sum arrays of one shape over all ranks; this rank's are those from number ``first`` on.
-
-        The sum does not depend, to the last bit, on how they are spread over ranks.
-        """
+        """Sum arrays, as ``ordered_sum`` does, of which this rank has those from number ``first`` on."""
         groups = sum_neighbours(first, terms)
         if self.size > 1:
             with self._all_here():

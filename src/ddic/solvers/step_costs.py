@@ -141,8 +141,7 @@ MEASURED = CostConstants(
     cg_iterations_by_square=1.0,
 )
 """Fitted on 26 November 2026 to runs of ``bench.interface_solvers`` with 10,000 to 250,000 unknowns on one and two
-ranks of a shared two-core machine, CHOLMOD and MUMPS of Debian 12: seconds of regularized problems of 60,000 unknowns
-and more are within a quarter, memory within a half."""
+ranks of a shared two-core machine: seconds from 60,000 regularized unknowns on are within a quarter, memory a half."""
 
 
 STARTED_PIXEL = 8e-8

@@ -32,8 +32,7 @@ larger one makes the coarse solution less exact."""
 N_JUMPS, N_REACTIONS = 12, 13
 """Modes of a subdomain whose jumps, and whose reactions, are coarse vectors; the softest, which hardly strain it, have
 next to no reactions. More save iterations (docs/solver.md) and make the coarse problem larger, which is what limits the
-number of subdomains. The spectrum does not tell which to leave out: with its boundary free a subdomain has as many soft
-modes as boundary unknowns, at any cut-off wavelength."""
+number of subdomains."""
 
 SchurProduct = Callable[[Array], Array]
 """S_s X from X, both (n interface unknowns, k)."""

@@ -54,6 +54,11 @@ class SparseInverse:
     SingularSubdomainError where S_s is singular.
 
     PETSc options (prefix ``inverse_``): factorised by MUMPS (LDL^T); another package must tell the inertia too.
+
+    Parameters
+    ----------
+    local : LocalDual
+        The subdomain's A_s, T_s and D_s.
     """
 
     def __init__(self, local: LocalDual) -> None:
@@ -162,10 +167,15 @@ def _invert_definite(matrix: Array) -> Array:
 
 
 class DenseInverse:
-    """S_s^-1, of ``invert_by_blocks``, in single precision: half the memory, and half the time of a product.
+    """S_s^-1 as an array in single precision: half the memory, and half the time of a product.
 
     A preconditioner needs no more digits, as long as the Krylov solver forms solutions from what it was given
     (FGMRES does, GMRES would apply it once more in the end).
+
+    Parameters
+    ----------
+    inverse : (n interface unknowns, n interface unknowns) array
+        Of ``invert_by_blocks``.
     """
 
     def __init__(self, inverse: Array) -> None:
