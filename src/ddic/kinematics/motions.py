@@ -94,8 +94,8 @@ def interpolate_robustly(points: Array, displacement: Array, places: Array, *, s
 def fit_robustly(offsets: Array, displacement: Array) -> Array:
     """Fit an affine map to the displacements of some neighbours, of which some may be wrong.
 
-    The least sum of distances alone follows a wrong neighbour far from all others, hence each weighs by 1 less its
-    leverage. Returns its value at each place, (n, 2), pixels, from which neighbours are at ``offsets``, (n, k, 2).
+    The least sum of distances alone follows a wrong one far from all others, hence each weighs by 1 less its leverage.
+    Returns the map's value at each place, (n, 2), pixels, from which the neighbours are at ``offsets``, (n, k, 2).
     """
     spread = np.sqrt((offsets**2).mean(axis=(1, 2), keepdims=True))
     terms = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets / np.maximum(spread, 1e-12)], axis=2)

@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ddic.grouped_sums import merge_groups, sum_groups, sum_neighbours
+from ddic.parallel.team import merge_groups, sum_groups, sum_neighbours
 
 
 @given(n_terms=st.integers(1, 40), cuts=st.lists(st.integers(0, 40), max_size=6), order=st.randoms())
