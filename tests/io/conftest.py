@@ -8,10 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_file import ChunkGrid, pack_chunk
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.io.image_chunks import ChunkGrid
+from ddic.io.result_pieces import Piece
+from ddic.io.result_writer import ResultWriter
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import Mesh, build_mesh
+from support.residual_images import write_residual_image
 
 COLUMNS, ROWS, SIDE = 4, 3, 10.0
 
@@ -58,10 +60,6 @@ def pieces_of(mesh: Mesh, extra: str | None = None, unmeasured: Sequence[int] = 
     return pieces
 
 
-def sizes_of(pieces: list[Piece]) -> list[PieceSize]:
-    return [PieceSize(len(p.points), len(p.types), len(p.connectivity)) for p in pieces]
-
-
 def residual_of(width: int, height: int) -> NDArray[np.float32]:
     image = np.random.default_rng(3).normal(0, 2, (height, width)).astype(np.float32)
     image[:3] = np.nan
@@ -80,19 +78,15 @@ def pieces(mesh: Mesh) -> list[Piece]:
 
 @pytest.fixture
 def write_result() -> Callable[..., Path]:
-    """Write a two-piece result, the second piece first."""
+    """Write a result in two pieces."""
 
     def write(path: Path, *, flip_y: bool = False, length_unit: str | None = None, residual: bool = True,
               reference: str = "", curves: bool = True, unmeasured: Sequence[int] = ()) -> Path:
         pieces = pieces_of(small_mesh(), length_unit, unmeasured)
         with ResultWriter(path, flip_y=flip_y) as writer:
-            writer.create_pieces(sizes_of(pieces), schema.point_fields(length_unit), schema.cell_fields())
-            for index in (1, 0):
-                writer.write_pieces(range(index, index + 1), pieces[index])
+            writer.write_pieces(pieces, schema.point_fields(length_unit), schema.cell_fields())
             if residual:
-                image = residual_of(60, 50)
-                writer.create_residual_image(ChunkGrid(60, 50))
-                writer.write_residual_chunk(0, pack_chunk(image))
+                write_residual_image(writer, ChunkGrid(60, 50), {0: residual_of(60, 50)})
             writer.write_table(schema.GAUSS_NEWTON, {"iteration": [1, 2], "residual_std_grey": [3.0, 2.5]})
             writer.write_curves(schema.KRYLOV, [[1.0, 0.1, 0.001], [1.0, 1e-4]] if curves else [[], []])
             writer.write_attributes(schema.CASE, {"toml": "title = 'é'\n" * 20_000, "eta": 0.5})
@@ -110,8 +104,3 @@ def residual() -> NDArray[np.float32]:
 @pytest.fixture
 def field() -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     return quadratic
-
-
-@pytest.fixture
-def sizes(pieces: list[Piece]) -> list[PieceSize]:
-    return sizes_of(pieces)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.hdf5_file import IMAGE_CHUNK, ChunkGrid, pack_chunk
+from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid, pack_chunk
 
 SIDE = IMAGE_CHUNK
 

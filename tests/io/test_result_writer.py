@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,12 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_file import IMAGE_CHUNK, ChunkGrid, pack_chunk
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
+from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid
+from ddic.io.new_hdf5 import write_block
+from ddic.io.result_pieces import NOTHING, Piece, add_counts, count_piece, join_pieces
+from ddic.io.result_writer import ResultWriter
 from support.cases import contents
+from support.residual_images import write_residual_image
 
 vtk = pytest.importorskip("vtk")
 numpy_support = pytest.importorskip("vtk.util.numpy_support")
@@ -110,16 +114,11 @@ def test_layout_of_the_file(tmp_path: Path, write_result: Write, pieces: list[Pi
         assert len(file["case"].attrs["toml"]) > 1 << 16
 
 
-def test_residual_is_nan_where_no_chunk_was_written(tmp_path: Path, pieces: list[Piece],
-                                                    sizes: list[PieceSize]) -> None:
+def test_residual_is_nan_where_no_chunk_was_written(tmp_path: Path) -> None:
     path, grid = tmp_path / "r.vtkhdf", ChunkGrid(2 * IMAGE_CHUNK + 6, IMAGE_CHUNK + 5)
-    with opened(path, sizes) as writer:
-        writer.write_pieces(range(2), join_pieces(pieces))
-        with pytest.raises(ValueError, match="create_residual_image comes before"):
-            writer.write_residual_chunk(0, b"")
-        writer.create_residual_image(grid)
-        for number in (1, 5):
-            writer.write_residual_chunk(number, pack_chunk(np.full(grid.shape, number, np.float32)))
+    with ResultWriter(path) as writer:
+        # Whoever has them, they come in any order.
+        write_residual_image(writer, grid, {number: np.full(grid.shape, number) for number in (5, 1)})
     with h5py.File(path) as file:
         image = file["residual_image/residual"][...]
     expected = np.full((grid.height, grid.width), np.nan, np.float32)
@@ -128,34 +127,45 @@ def test_residual_is_nan_where_no_chunk_was_written(tmp_path: Path, pieces: list
     np.testing.assert_array_equal(image, expected)
 
 
-def test_joined_pieces_make_the_same_file(tmp_path: Path, pieces: list[Piece], sizes: list[PieceSize]) -> None:
-    with opened(tmp_path / "one.vtkhdf", sizes) as writer:
-        for index, piece in enumerate(pieces):
-            writer.write_pieces(range(index, index + 1), piece)
-    with opened(tmp_path / "all.vtkhdf", sizes) as writer:
-        writer.write_pieces(range(2), join_pieces(pieces))
-    one, everything = contents(tmp_path / "one.vtkhdf"), contents(tmp_path / "all.vtkhdf")
-    assert set(one) == set(everything)
-    for name, values in one.items():
-        np.testing.assert_array_equal(values, everything[name], err_msg=name)
+def test_pieces_are_placed_by_what_comes_before_whoever_writes_them(tmp_path: Path, pieces: list[Piece]) -> None:
+    fields = schema.point_fields(None), schema.cell_fields()
+    with ResultWriter(tmp_path / "all.vtkhdf") as writer:
+        writer.write_pieces(pieces, *fields)
+    counts = [count_piece(piece) for piece in pieces]
+    with ResultWriter(tmp_path / "others.vtkhdf") as writer:
+        layout = writer.create_mesh(add_counts(counts), *fields)
+        assert writer.begun is not None
+        # The last first, and past the library, as another process would.
+        for k in (1, 0):
+            with writer.begun.open("r+b") as other:
+                for block in layout.place(add_counts(counts[:k]), counts[k:k + 1], pieces[k]):
+                    write_block(other.fileno(), block)
+    with ResultWriter(None) as writer:
+        writer.write_pieces(pieces, *fields)
+        (tmp_path / "memory.vtkhdf").write_bytes(writer.read_image())
+    expected = contents(tmp_path / "all.vtkhdf")
+    for other in ("others", "memory"):
+        found = contents(tmp_path / f"{other}.vtkhdf")
+        assert set(found) == set(expected)
+        for name, values in expected.items():
+            np.testing.assert_array_equal(found[name], values, err_msg=name)
 
 
 @contextmanager
-def opened(path: Path, sizes: list[PieceSize]) -> Iterator[ResultWriter]:
+def opened(path: Path, pieces: list[Piece]) -> Iterator[ResultWriter]:
     with ResultWriter(path) as writer:
-        writer.create_pieces(sizes, schema.point_fields(None), schema.cell_fields())
+        writer.write_pieces(pieces, schema.point_fields(None), schema.cell_fields())
         yield writer
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_an_exception_leaves_no_file_and_the_earlier_result_untouched(
-        tmp_path: Path, pieces: list[Piece], sizes: list[PieceSize], error: type[BaseException]) -> None:
+        tmp_path: Path, pieces: list[Piece], error: type[BaseException]) -> None:
     path = tmp_path / "r.vtkhdf"
     path.write_text("earlier")
 
     def interrupted() -> None:
-        with opened(path, sizes) as writer:
-            writer.write_pieces(range(0, 1), pieces[0])
+        with opened(path, pieces):
             assert len(list(tmp_path.iterdir())) == 2
             raise error
 
@@ -165,30 +175,23 @@ def test_an_exception_leaves_no_file_and_the_earlier_result_untouched(
     assert path.read_text() == "earlier"
 
 
-def test_missing_pieces_are_an_error_and_leave_no_file(tmp_path: Path, pieces: list[Piece],
-                                                       sizes: list[PieceSize]) -> None:
-    def incomplete() -> None:
-        with opened(tmp_path / "r.vtkhdf", sizes) as writer:
-            writer.write_pieces(range(1, 2), pieces[1])
-
-    with pytest.raises(ValueError, match=r"pieces \[0\] were not written"):
-        incomplete()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_wrong_pieces_are_refused(tmp_path: Path, pieces: list[Piece], sizes: list[PieceSize]) -> None:
-    short = {k: v[:-1] for k, v in pieces[0].cell_data.items()}
-    with opened(tmp_path / "r.vtkhdf", sizes) as writer:
-        for index, piece in enumerate(pieces):
-            with pytest.raises(ValueError, match="announced"):
-                writer.write_pieces(range(index, index + 1), pieces[1 - index])
-            writer.write_pieces(range(index, index + 1), piece)
-        with pytest.raises(ValueError, match="before"):
-            writer.write_pieces(range(0, 1), pieces[0])
+def test_pieces_other_than_announced_are_refused_and_leave_no_file(tmp_path: Path, pieces: list[Piece]) -> None:
     first = pieces[0]
-    bad = Piece(first.points, first.connectivity, first.offsets, first.types, first.point_data, short)
-    with pytest.raises(ValueError, match="announced"), opened(tmp_path / "s.vtkhdf", sizes) as writer:
-        writer.write_pieces(range(0, 1), bad)
+    short = {name: values[:-1] for name, values in first.cell_data.items()}
+    fewer = {name: values for name, values in first.cell_data.items() if name != schema.DOUBTFUL}
+    spoilt = (replace(first, cell_data=short), replace(first, cell_data=fewer), replace(first, types=first.types[1:]))
+    for bad in spoilt:
+        with pytest.raises(ValueError, match="announced"), opened(tmp_path / "r.vtkhdf", [bad, pieces[1]]):
+            pass
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_pieces_behind_the_end_are_refused(tmp_path: Path, pieces: list[Piece]) -> None:
+    counts = [count_piece(piece) for piece in pieces]
+    with ResultWriter(tmp_path / "r.vtkhdf") as writer:
+        layout = writer.create_mesh(add_counts(counts[:1]), schema.point_fields(None), schema.cell_fields())
+        with pytest.raises(ValueError, match="announced"):
+            layout.place(NOTHING, counts, join_pieces(pieces))
 
 
 def test_a_stale_residual_image_file_goes_with_the_run_that_has_none(tmp_path: Path, write_result: Write) -> None:
@@ -198,6 +201,6 @@ def test_a_stale_residual_image_file_goes_with_the_run_that_has_none(tmp_path: P
     assert [p.name for p in tmp_path.iterdir()] == ["r.vtkhdf"]
 
 
-def test_a_folder_that_does_not_exist_is_an_input_error(tmp_path: Path, sizes: list[PieceSize]) -> None:
-    with pytest.raises(InputError, match="nowhere"), opened(tmp_path / "nowhere" / "r.vtkhdf", sizes):
+def test_a_folder_that_does_not_exist_is_an_input_error(tmp_path: Path, pieces: list[Piece]) -> None:
+    with pytest.raises(InputError, match="nowhere"), opened(tmp_path / "nowhere" / "r.vtkhdf", pieces):
         pass

@@ -183,6 +183,7 @@ def test_sums_largest_and_offsets_over_ranks(team: Team) -> None:
     # Of equal first entries the largest second one.
     assert team.maximum((1.5, team.rank)) == (1.5, team.size - 1)
     assert team.offset(team.rank + 2) == sum(rank + 2 for rank in range(team.rank))
+    np.testing.assert_array_equal(team.sum_below(np.array([1, team.rank])), [team.rank, sum(range(team.rank))])
     # Neither in C's order nor contiguous.
     mine = np.arange(12.0).reshape(4, 3).T[:, ::2] + team.rank
     first = np.arange(12.0).reshape(4, 3).T[:, ::2]

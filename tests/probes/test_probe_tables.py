@@ -15,7 +15,8 @@ import ddic
 from ddic.cli.tables import export, probe
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.io.result_pieces import Piece
+from ddic.io.result_writer import ResultWriter
 from ddic.mesh.structured import build_structured_mesh
 from ddic.probes.probes import parse_probe
 from probes.conftest import MakeResult
@@ -58,9 +59,7 @@ def write_result(path: Path, time: float, pixel_size: float | None = None) -> No
     piece = Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, points, of_cells)
     nodal = [spec for spec in schema.nodal_strain_fields() if spec.name in points]
     with ResultWriter(path) as writer:
-        size = PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))
-        writer.create_pieces([size], (*schema.point_fields(unit), *nodal), schema.cell_fields())
-        writer.write_pieces(range(1), piece)
+        writer.write_pieces([piece], (*schema.point_fields(unit), *nodal), schema.cell_fields())
         writer.write_attributes(schema.TIME, {"reference": 0.0, "deformed": time})
         writer.write_attributes(schema.CASE, {"noise_floor_px": 0.01})
         writer.write_attributes(schema.UNITS, {"pixel_size": pixel_size or 1.0, "length_unit": unit or "px"})

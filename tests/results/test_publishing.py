@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ddic.io.result_writer import ResultWriter
 from ddic.methods.run import write_run
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
+from ddic.results import shared_file
 from ddic.results.publishing import gather, publish
 from support.cases import WAVES, contents, largest_difference, write_case, write_images
 from support.measuring import measure
@@ -197,8 +199,7 @@ def test_what_is_gathered_is_what_the_file_holds(shared_path: Path) -> None:
         name: set(group) for name, group in stored.attributes.items()}
 
 
-WRITES = ("create_pieces", "write_pieces", "write_table", "create_residual_image", "write_residual_chunk",
-          "write_attributes", "_refuse_missing_pieces")
+WRITES = ("create_mesh", "write_table", "create_residual_image", "write_block", "write_attributes")
 
 
 @pytest.mark.parallel([1, 3])
@@ -222,3 +223,42 @@ def test_full_disk_is_told_on_all_ranks_and_leaves_an_older_result(shared_path: 
         assert is_collective(caught.value), name
         assert team.on_root(lambda: sorted(shared_path.iterdir())) == before, name
         assert team.on_root(output.read_text) == "older", name
+
+
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize("rank", [0, 2])
+def test_full_disk_of_any_rank_is_told_on_all(shared_path: Path, monkeypatch: pytest.MonkeyPatch, rank: int) -> None:
+    team = Team(MPI.COMM_WORLD)
+    measured = measure(team, _write(shared_path))
+    team.wait_for_all()
+    before = team.on_root(lambda: sorted(shared_path.iterdir()))
+
+    def fill_disk(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if team.rank == rank:
+        monkeypatch.setattr(os, "pwrite", fill_disk)
+    with pytest.raises(OSError, match="No space") as caught:
+        publish(measured, shared_path / "field.vtkhdf")
+    assert is_collective(caught.value)
+    if team.is_root:
+        # It tells the user, who knows the file by its final name.
+        assert caught.value.filename == str(shared_path / "field.vtkhdf")
+    assert team.on_root(lambda: sorted(shared_path.iterdir())) == before
+
+
+@pytest.mark.parallel(3)
+def test_the_file_is_the_same_where_ranks_cannot_write_to_it(shared_path: Path,
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    team = Team(MPI.COMM_WORLD)
+    measured = measure(team, _write(shared_path))
+    publish(measured, shared_path / "straight.vtkhdf")
+    monkeypatch.setattr(shared_file, "_can_write", lambda *_: False)
+    publish(measured, shared_path / "through rank 0.vtkhdf")
+    if team.is_root:
+        straight, through = (contents(shared_path / f"{name}.vtkhdf") for name in ("straight", "through rank 0"))
+        assert set(straight) == set(through)
+        for name, values in straight.items():
+            # Times of the first writing are known to the second.
+            if not name.startswith((schema.PHASES, "provenance")):
+                np.testing.assert_array_equal(through[name], values, err_msg=name)

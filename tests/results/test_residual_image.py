@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.hdf5_file import ChunkGrid
+from ddic.io.image_chunks import ChunkGrid
+from ddic.io.result_writer import ResultWriter
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.results import residual_image
-from ddic.results.residual_image import PackedChunk, Patch, pack_chunks, share_chunks, stream_chunks
+from ddic.results import residual_image, shared_file
+from ddic.results.residual_image import Patch, share_chunks, write_patches
 
 RANKS = [1, 3]
 WIDTH, HEIGHT = 900, 700
@@ -47,35 +50,25 @@ def patches(numbers: range) -> list[Patch]:
     return found
 
 
-def unpacked(chunk: PackedChunk) -> NDArray[np.float32]:
-    planes = np.frombuffer(zlib.decompress(chunk.data), np.uint8).reshape(4, -1)
-    return np.ascontiguousarray(planes.T).view("<f4").reshape(GRID.shape)
-
-
 @pytest.mark.parallel(RANKS)
-def test_root_gets_every_pixel_once_compressed(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Two a message: several messages from each rank.
-    monkeypatch.setattr(residual_image, "CHUNKS_A_MESSAGE", 2)
+@pytest.mark.parametrize("way", ["straight", "through rank 0"])
+def test_the_file_has_every_pixel_once(shared_path: Path, monkeypatch: pytest.MonkeyPatch, way: str) -> None:
+    # Two at a time: several batches on each rank.
+    monkeypatch.setattr(residual_image, "CHUNKS_A_BATCH", 2)
+    if way != "straight":
+        monkeypatch.setattr(shared_file, "_can_write", lambda *_: False)
     team = Team(MPI.COMM_WORLD)
     mine = patches(split_evenly(np.ones(N_PARTS), team.size)[team.rank])
-    held = pack_chunks(team, GRID, [p.window for p in mine], iter(mine))
-    everything: list[PackedChunk] = []
-    stream_chunks(team, held, everything.append)
-    image = np.full((HEIGHT, WIDTH), np.nan, np.float32)
-    for chunk in everything:
-        place = GRID.locate_chunk(chunk.number)
-        clipped = place.intersection(Window.of_size(WIDTH, HEIGHT))
-        target = image[place.y0:place.y1, place.x0:place.x1]
-        target[...] = unpacked(chunk)[:clipped.height, :clipped.width]
-    numbers = [chunk.number for chunk in everything]
-    n_held = team.comm.allreduce(len(held))
+    path = shared_path / "field.vtkhdf"
+    with ExitStack() as stack:
+        writer = team.build_on_root(lambda: stack.enter_context(ResultWriter(path)))
+        write_patches(team, writer, GRID, [p.window for p in mine], iter(mine))
     if team.is_root:
-        np.testing.assert_array_equal(image, np.where(part_of_each_pixel() >= 0, picture(), np.nan))
-        assert len(set(numbers)) == len(numbers) == n_held
-        # The chunks of the empty corner are not there at all.
-        assert not {2, 3} & set(numbers)
-    else:
-        assert numbers == []
+        with h5py.File(path) as file:
+            image = file["residual_image/residual"]
+            np.testing.assert_array_equal(image[...], np.where(part_of_each_pixel() >= 0, picture(), np.nan))
+            # The two chunks of the empty corner, of 12, are not there at all.
+            assert image.id.get_num_chunks() == 10
 
 
 @pytest.mark.parallel(RANKS)
@@ -83,12 +76,16 @@ def test_ranks_agree_on_owners_and_share_the_work() -> None:
     team = Team(MPI.COMM_WORLD)
     windows = [p.window for p in patches(split_evenly(np.ones(N_PARTS), team.size)[team.rank])]
     shares = share_chunks(team, GRID, windows)
-    assert team.gather_lists([shares]) == [shares] * team.size
-    seen = {n for window in team.gather_lists(windows) for n in GRID.find_chunks(window)}
+    # Each rank knows of the chunks that its windows touch, and of no others.
+    seen = {n for window in windows for n in GRID.find_chunks(window)}
     assert set(shares.owner) == set(shares.sharers) == seen
-    assert all(shares.owner[n] in ranks for n, ranks in shares.sharers.items())
+    assert all(team.rank in ranks and shares.owner[n] in ranks for n, ranks in shares.sharers.items())
+    owner: dict[int, int] = {}
+    for found in team.gather_lists([shares.owner]):
+        assert all(owner.get(n, rank) == rank for n, rank in found.items())
+        owner |= found
     # Of slanted stripes, whose windows are far larger than they are, no rank is given more than twice its share.
-    counts = np.bincount(list(shares.owner.values()), minlength=team.size)
+    counts = np.bincount(list(owner.values()), minlength=team.size)
     assert counts.max() <= 2 * counts.mean()
 
 

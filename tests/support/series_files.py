@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_file import ChunkGrid, pack_chunk
+from ddic.io.image_chunks import ChunkGrid
 from ddic.io.replace_on_exit import replaced_together
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.io.result_pieces import Piece
+from ddic.io.result_writer import ResultWriter
 from ddic.io.series_writer import SeriesFolder, join_frames
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
 from ddic.results.summary import FrameRecord
+from support.residual_images import write_residual_image
 
 MESH = build_structured_mesh((10.0, 10.0, 50.0, 30.0), 10.0)
 STRAIN = 0.01
@@ -71,15 +73,11 @@ def write_series_file(path: Path, frames: Sequence[FrameFile], *, flip_y: bool =
 def _write_frame(path: Path, frame: FrameFile, number: int, form: tuple[bool, str | None, bool]) -> None:
     flip_y, length_unit, residual = form
     pieces = [_cut(frame, part, length_unit) for part in range(frame.n_parts)]
-    sizes = [PieceSize(len(piece.points), len(piece.types), len(piece.connectivity)) for piece in pieces]
     with ResultWriter(path, flip_y=flip_y) as writer:
-        writer.create_pieces(sizes, (*schema.point_fields(length_unit), *schema.nodal_strain_fields()),
-                             schema.cell_fields())
-        for index, piece in enumerate(pieces):
-            writer.write_pieces(range(index, index + 1), piece)
+        writer.write_pieces(pieces, (*schema.point_fields(length_unit), *schema.nodal_strain_fields()),
+                            schema.cell_fields())
         if residual:
-            writer.create_residual_image(ChunkGrid(60, 40))
-            writer.write_residual_chunk(0, pack_chunk(np.full((40, 60), float(number), np.float32)))
+            write_residual_image(writer, ChunkGrid(60, 40), {0: np.full((40, 60), float(number))})
         iterations = list(range(1, 3 + number))
         writer.write_table(schema.GAUSS_NEWTON, {"iteration": iterations, "residual_std_grey": [2.5] * len(iterations)})
         writer.write_curves(schema.KRYLOV, [[1.0, 10.0**-number]])

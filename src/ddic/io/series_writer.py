@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_file import Arrays, new_hdf5, open_hdf5
+from ddic.io.hdf5_file import Arrays, open_hdf5
+from ddic.io.new_hdf5 import new_hdf5
 from ddic.io.replace_on_exit import NewFiles, made_folder, remove_abandoned, replaced_on_exit
 from ddic.io.result_reader import merge_pieces
 from ddic.io.result_writer import write_physical_sidecar
@@ -335,7 +336,8 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
     name. Raises OSError where it cannot be written.
     """
     target = folder.result
-    with new_hdf5(files.begin(target)) as (file, _):
+    with new_hdf5(files.begin(target)) as new:
+        file = new.file
         with open_hdf5(folder.get_frame_path(numbers[0])) as first:
             file.attrs.update({name: first.attrs[name] for name in schema.OF_FORMAT})
         file.attrs[schema.STATUS], file.attrs[schema.FAILURE] = schema.CONVERGED, ""

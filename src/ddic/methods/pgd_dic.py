@@ -21,8 +21,9 @@ from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, StartPoints
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_file import ChunkGrid
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter
+from ddic.io.image_chunks import ChunkGrid
+from ddic.io.result_pieces import Piece
+from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.cell_type import Q4
@@ -135,8 +136,6 @@ def write_output_cells(writer: ResultWriter, cells: OutputCells, field: Separate
     mesh = cells.build_mesh()
     displacement = cells.evaluate_displacement(field)
     length_unit = None if images.pixel_size is None else images.length_unit
-    writer.create_pieces([PieceSize(mesh.n_nodes, mesh.n_cells, len(mesh.connectivity))],
-                         (*schema.point_fields(length_unit), *schema.nodal_strain_fields()), schema.cell_fields())
     point_data: dict[str, NDArray[Any]] = {
         schema.DISPLACEMENT: displacement,
         schema.DISPLACEMENT_MESH_UNITS: displacement,
@@ -145,8 +144,10 @@ def write_output_cells(writer: ResultWriter, cells: OutputCells, field: Separate
     }
     if images.pixel_size is not None:
         point_data[schema.DISPLACEMENT_PHYSICAL] = displacement * images.pixel_size
-    writer.write_pieces(range(1), Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, point_data,
-                                        _describe_cells(mesh, cells, displacement)))
+    piece = Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, point_data,
+                  _describe_cells(mesh, cells, displacement))
+    writer.write_pieces([piece], (*schema.point_fields(length_unit), *schema.nodal_strain_fields()),
+                        schema.cell_fields())
 
 
 def _describe_cells(mesh: Mesh, cells: OutputCells, displacement: Array) -> dict[str, NDArray[Any]]:

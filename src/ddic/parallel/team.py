@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from mpi4py import MPI
 
-from ddic.arrays import Array
+from ddic.arrays import Array, IntArray
 from ddic.errors import DdicError, as_collective
 from ddic.parallel.stop_request import StopRequest
 
@@ -285,14 +285,18 @@ class Team:
         """Find the largest number or tuple over ranks, entry by entry of an array of one shape; the same on all."""
         return self._reduce(value, MPI.MAX)
 
-    def offset(self, count: int) -> int:
-        """Sum a count over the ranks below this one: where this rank's numbers begin."""
-        below = np.zeros(1, np.int64)
+    def sum_below(self, counts: IntArray) -> IntArray:
+        """Sum whole numbers, (n,) on all ranks, over the ranks below this one."""
+        below = np.zeros(len(counts), np.int64)
         if self.size > 1:
             with self._all_here():
-                MPI.Intracomm(self.comm).Exscan(np.array([count]), below)
+                MPI.Intracomm(self.comm).Exscan(np.asarray(counts, np.int64), below)
         # MPI leaves rank 0's undefined.
-        return 0 if self.is_root else int(below[0])
+        return np.zeros_like(below) if self.is_root else below
+
+    def offset(self, count: int) -> int:
+        """Sum a count over the ranks below this one: where this rank's numbers begin."""
+        return int(self.sum_below(np.array([count]))[0])
 
     def _reduce(self, value: T, operation: MPI.Op) -> T:
         with self._all_here():

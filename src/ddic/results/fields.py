@@ -1,6 +1,6 @@
 """What the result file holds of a measurement: mesh and fields, tables, curves and attributes.
 
-Mesh and fields go piece by piece through rank 0. The mesh is as a result shows it: parts of cut cells as triangles, so
+Each rank writes the pieces of its subdomains. The mesh is as a result shows it: parts of cut cells as triangles, so
 that a discontinuity opens. Strains at the nodes are as the result file has them.
 """
 
@@ -17,7 +17,9 @@ from scipy import sparse
 from ddic.arrays import Array, IntArray
 from ddic.functionals.correlation import Residual
 from ddic.io import result_schema as schema
-from ddic.io.result_writer import Piece, PieceSize, ResultWriter, join_pieces
+from ddic.io.new_hdf5 import Block
+from ddic.io.result_pieces import Piece, PieceCounts, PieceLayout, add_counts, join_pieces
+from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import (
     compute_green_lagrange,
@@ -30,11 +32,12 @@ from ddic.kinematics.strain import (
 from ddic.mesh.cell_type import T3
 from ddic.mesh.interpolation import evaluate_shapes_at
 from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
-from ddic.parallel.distribution import stream_to_root, sum_shared_nodes
+from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
 from ddic.results.near import describe_near_field
 from ddic.results.publishing import write_case
+from ddic.results.shared_file import write_blocks
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
@@ -145,7 +148,7 @@ def _weigh_corners(mesh: Mesh, cells: IntArray, corners: Array) -> sparse.csr_ma
 
 
 BATCH_POINTS = 1 << 14
-"""Points from which on pieces are sent and written together (about 6 MB); a larger value takes memory on rank 0."""
+"""Points from which on pieces are made and written together (about 6 MB); a larger value takes memory."""
 
 
 def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
@@ -153,8 +156,9 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     team, images = measurement.team, measurement.inputs.case.images
     n_nodes = measurement.region.n_nodes
     drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
-    sizes = team.gather_lists([PieceSize(piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity))
-                               for piece in drawn])
+    counts = [PieceCounts(1, piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity)) for piece in drawn]
+    mine = np.array(add_counts(counts))
+    before, total = (PieceCounts(*(int(n) for n in found)) for found in (team.sum_below(mine), team.sum(mine)))
     length_unit = None if images.pixel_size is None else images.length_unit
     at_points = (*schema.point_fields(length_unit), *schema.nodal_strain_fields())
     on_cells = schema.cell_fields(len(measurement.cameras))
@@ -162,21 +166,22 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     if uncertainty is not None:
         at_points = (*at_points, *schema.uncertainty_point_fields(regularized=uncertainty.bias is not None))
         on_cells = (*on_cells, *schema.uncertainty_cell_fields())
-    team.build_on_root(lambda: require_held(writer).create_pieces(sizes, at_points, on_cells))
+    layout = team.on_root(lambda: require_held(writer).create_mesh(total, at_points, on_cells))
     gradients = recover_nodal_gradients(team, measurement.subdomains, measurement.displacements)
-    n_written = 0
+    write_blocks(team, writer, _place_batches(layout, before, counts, _make_batches(measurement, drawn, gradients)))
 
-    def write(batch: tuple[int, Piece]) -> None:
-        nonlocal n_written
-        n_pieces, joined = batch
-        require_held(writer).write_pieces(range(n_written, n_written + n_pieces), joined)
-        n_written += n_pieces
 
-    stream_to_root(team, _make_batches(measurement, drawn, gradients), write)
+def _place_batches(layout: PieceLayout, before: PieceCounts, counts: Sequence[PieceCounts],
+                   batches: Iterator[tuple[range, Piece]]) -> Iterator[list[Block]]:
+    """What is to be written of this rank's pieces, of which there are ``counts``, behind what comes ``before``."""
+    for numbers, joined in batches:
+        of_batch = counts[numbers.start:numbers.stop]
+        yield layout.place(before, of_batch, joined)
+        before = add_counts([before, *of_batch])
 
 
 def _group(counts: Sequence[int]) -> Iterator[range]:
-    """Numbers of pieces that follow each other, up to a size that bounds what rank 0 holds at a time."""
+    """Numbers of pieces that follow each other, up to a size that bounds what a rank holds at a time."""
     first, n_points = 0, 0
     for number, count in enumerate(counts, start=1):
         n_points += count
@@ -186,8 +191,8 @@ def _group(counts: Sequence[int]) -> Iterator[range]:
 
 
 def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
-                  gradients: Sequence[Array]) -> Iterator[tuple[int, Piece]]:
-    """Pieces of owned subdomains that follow each other: how many, and joined to one.
+                  gradients: Sequence[Array]) -> Iterator[tuple[range, Piece]]:
+    """Pieces of owned subdomains that follow each other: which, and joined to one.
 
     ``gradients`` are those of the displacement at their nodes, (n_nodes, 2, 2) each.
     """
@@ -204,8 +209,8 @@ def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
         on_cells = {schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal[cells]),
                     schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange[cells])}
         at_points = describe_nodal_strains(of_points.reshape(-1, 2, 2))
-        yield len(numbers), replace(joined, point_data={**joined.point_data, **at_points},
-                                    cell_data={**joined.cell_data, **on_cells})
+        yield numbers, replace(joined, point_data={**joined.point_data, **at_points},
+                               cell_data={**joined.cell_data, **on_cells})
 
 
 def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> Piece:

@@ -1,37 +1,38 @@
 """The residual image of each camera in the result file.
 
-Every rank computes and compresses its chunks, rank 0 only stores them.
+Every rank computes, compresses and writes its chunks; rank 0 only makes room for them.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.arrays import Array
+from ddic.arrays import Array, IntArray
 from ddic.functionals.correlation import Residual, RowBand
 from ddic.functionals.view import FrameView
 from ddic.images.window import Window
-from ddic.io.hdf5_file import ChunkGrid, pack_chunk
+from ddic.io.image_chunks import ChunkGrid, pack_chunk
+from ddic.io.new_hdf5 import Block
 from ddic.io.result_writer import ResultWriter
-from ddic.parallel.distribution import stream_to_root
 from ddic.parallel.team import Team, require_held
+from ddic.results.shared_file import write_blocks
 
 if TYPE_CHECKING:
     from ddic.results.measurement import Measurement
 
 
-CHUNKS_A_MESSAGE = 16
-"""Compressed chunks sent to rank 0 at a time: more make fewer messages and take more memory there."""
+CHUNKS_A_BATCH = 16
+"""Compressed chunks written, or sent to rank 0, at a time: more make fewer messages and take more memory there."""
 
 LARGE = 0.5
-"""Share of a chunk's largest part from which on a rank may own it; of these the one with the fewest chunks does. A
-larger share sends less and spreads the compression less evenly."""
+"""Share of a chunk's largest part from which on a rank may own it. A larger share sends less and spreads the
+compression less evenly."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +69,14 @@ class PackedChunk:
 
 @dataclass(frozen=True)
 class ChunkShares:
-    """Who holds pixels of which chunk, the same on every rank.
+    """Who holds pixels of the chunks that this rank's windows touch.
 
     Attributes
     ----------
-    sharers : dict
-        Ranks whose windows touch it, by touched chunk.
-    owner : dict
-        One of them with a large part, by touched chunk.
+    sharers : dict of list of int
+        Ranks whose windows touch a chunk, by its number.
+    owner : dict of int
+        One of them with a large part, by number.
     """
 
     sharers: dict[int, list[int]]
@@ -83,27 +84,33 @@ class ChunkShares:
 
 
 def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> ChunkShares:
-    """Agree on the owner of every chunk that windows of owned subdomains touch, the same on every rank; collective."""
-    area: Counter[int] = Counter()
+    """Agree on the owner of every chunk that windows of owned subdomains touch; collective.
+
+    A chunk's owner is found on one rank, to which only those that share it tell how much they have of it.
+    """
+    area: dict[int, Counter[int]] = {}
     for window in windows:
         for number in grid.find_chunks(window):
-            area[number] += window.intersection(grid.locate_chunk(number)).n_pixels
-
+            n_pixels = window.intersection(grid.locate_chunk(number)).n_pixels
+            area.setdefault(number % team.size, Counter())[number] += n_pixels
     # By chunk and rank, the pixels of the windows.
     n_pixels_of: dict[int, dict[int, int]] = {}
-    for rank, areas in enumerate(team.gather_lists([dict(area)])):
+    for rank, areas in team.exchange(area).items():
         for number, n_pixels in areas.items():
             n_pixels_of.setdefault(number, {})[rank] = n_pixels
-
-    n_owned: Counter[int] = Counter()
-    owner: dict[int, int] = {}
-    for number, of_rank in sorted(n_pixels_of.items()):
+    answers: dict[int, ChunkShares] = {}
+    for number, of_rank in n_pixels_of.items():
         enough = LARGE * max(of_rank.values())
         candidates = [rank for rank, n_pixels in of_rank.items() if n_pixels >= enough]
-        owner[number] = min(candidates, key=lambda rank: n_owned[rank])
-        n_owned[owner[number]] += 1
-    sharers = {number: list(of_rank) for number, of_rank in n_pixels_of.items()}
-    return ChunkShares(sharers, owner)
+        for rank in of_rank:
+            answer = answers.setdefault(rank, ChunkShares({}, {}))
+            answer.sharers[number] = list(of_rank)
+            answer.owner[number] = candidates[number % len(candidates)]
+    shares = ChunkShares({}, {})
+    for found in team.exchange(answers).values():
+        shares.sharers.update(found.sharers)
+        shares.owner.update(found.owner)
+    return shares
 
 
 def pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[PackedChunk]:
@@ -138,16 +145,6 @@ def _receive_parts(team: Team, shares: ChunkShares, chunks: dict[int, NDArray[np
         for _ in range(n_chunks):
             number, part = team.receive(rank)
             np.copyto(chunks[number], part, where=~np.isnan(part))
-
-
-def stream_chunks(team: Team, chunks: list[PackedChunk], write: Callable[[PackedChunk], None]) -> None:
-    """Bring all ranks' chunks to rank 0, a few in each message, and write each there; collective."""
-    def write_all(batch: list[PackedChunk]) -> None:
-        for chunk in batch:
-            write(chunk)
-
-    batches = (chunks[begin:begin + CHUNKS_A_MESSAGE] for begin in range(0, len(chunks), CHUNKS_A_MESSAGE))
-    stream_to_root(team, batches, write_all)
 
 
 def _complete_chunks(grid: ChunkGrid, windows: list[Window],
@@ -203,6 +200,21 @@ def _make_patches(measurement: Measurement,
 def write_patches(team: Team, writer: ResultWriter | None, grid: ChunkGrid, windows: list[Window],
                   patches: Iterator[Patch]) -> None:
     """Write a residual image of which each rank has some patches, in their windows; collective."""
-    team.build_on_root(lambda: require_held(writer).create_residual_image(grid))
     chunks = pack_chunks(team, grid, windows, patches)
-    stream_chunks(team, chunks, lambda chunk: require_held(writer).write_residual_chunk(chunk.number, chunk.data))
+    places = _make_room(team, writer, grid, chunks).tolist()
+    blocks = [Block(place, chunk.data) for place, chunk in zip(places, chunks, strict=True)]
+    batches = (blocks[first:first + CHUNKS_A_BATCH] for first in range(0, len(blocks), CHUNKS_A_BATCH))
+    write_blocks(team, writer, batches)
+
+
+def _make_room(team: Team, writer: ResultWriter | None, grid: ChunkGrid, chunks: list[PackedChunk]) -> IntArray:
+    """Places in the file of this rank's chunks, (n,); collective: of the others rank 0 learns number and size alone."""
+    sizes = np.array([(chunk.number, len(chunk.data)) for chunk in chunks], np.int64).reshape(-1, 2)
+    of_ranks = team.gather_to(sizes)
+
+    def reserve() -> list[IntArray]:
+        gathered = require_held(of_ranks)
+        places = require_held(writer).create_residual_image(grid, *np.concatenate(gathered).T)
+        return np.split(places, np.cumsum([len(of_rank) for of_rank in gathered])[:-1])
+
+    return team.scatter_from_root(reserve)
