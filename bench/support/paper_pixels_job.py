@@ -102,7 +102,7 @@ def main(case_file: str, result_file: str, repeats: str) -> None:
     inputs, frame = open_inputs(team, load_case(Path(case_file)))
     whole = team.build_on_root(lambda: build_region_mesh(inputs))
     parts = None if whole is None else split_region(whole, team.size)
-    subdomains, _ = scatter_region(team, whole, parts)
+    subdomains, _ = scatter_region(team, inputs, whole, parts)
     displacement = read_result(Path(result_file)).displacement
     q = [displacement[s.node_ids].ravel() for s in subdomains]
     runs = [do_once(team, inputs, frame, subdomains, q) for _ in range(int(repeats) + 1)][1:]

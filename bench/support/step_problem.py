@@ -156,7 +156,7 @@ def prepare_step(team: Team, case: Case, split: Split | None = None) -> StepProb
         parts = None
     else:
         parts = split_region(whole, team.size) if split is None else split(whole.mesh)
-    subdomains, region = scatter_region(team, whole, parts)
+    subdomains, region = scatter_region(team, inputs, whole, parts)
     views = read_reference_views(case, inputs.cameras, subdomains)
     n_pixels = team.sum(sum(view.n_pixels for view in views.flat))
     reference = ReferenceProblem(replace(inputs, case=case), region, subdomains, views, assemble_hessians(team, views),

@@ -21,7 +21,7 @@ from ddic.kinematics.linear import TiedKinematics
 from ddic.methods.run import run_case
 from ddic.parallel.team import Team
 from ddic.partition.split import find_cameras_at_nodes
-from ddic.problem.region_mesh import build_region_mesh, split_region
+from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
 from ddic.synth.speckle import SpeckleTexture
 from support.cases import Ears
 
@@ -161,7 +161,7 @@ def test_near_fields_with_and_without_a_mesh(tmp_path: Path) -> None:
     seen = (RATIO * low - (232, 130) >= 2).all(axis=1) & (RATIO * high - (232, 130) <= np.array(NEAR) - 3).all(axis=1)
     np.testing.assert_array_equal(labels[far], 2 * seen[far])
     region_mesh = build_region_mesh(Inputs(case, cameras, lambda: (mesh, tying)))
-    subdomains, _ = region_mesh.cut(split_region(region_mesh, 1))
+    subdomains, _ = scatter_region(Team.alone(), region_mesh.inputs, region_mesh, split_region(region_mesh, 1))
     assert [s.camera for s in subdomains] == sorted(labels[s.cell_ids[0]] for s in subdomains)
     assert {s.camera for s in subdomains} == {0, 1, 2}
     assert {s.camera for s in subdomains if isinstance(s.kinematics, TiedKinematics)} == {1}

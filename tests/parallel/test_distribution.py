@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import sparse
 
 from ddic.errors import InputError, is_collective
+from ddic.kinematics.kinematics import RegionKinematics
+from ddic.kinematics.linear import LinearRegion
 from ddic.parallel.distribution import scatter_subdomains, split_evenly
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition import sharing
+from ddic.partition.build_subdomains import build_subdomains, cut_subdomains
+from ddic.partition.sharing import connect_subdomains
 from support.linear import linear_step, split
 
 RANKS = [1, 2, 3, 4]
@@ -68,6 +74,33 @@ def test_every_rank_gets_its_own_subdomains_whole() -> None:
         np.testing.assert_array_equal(s.node_ids, everything[s.index].node_ids)
         np.testing.assert_array_equal(s.mesh.nodes, everything[s.index].mesh.nodes)
         np.testing.assert_array_equal(s.reactions.first_row, everything[s.index].reactions.first_row)
+
+
+@pytest.mark.parallel([1, 2, 3, 4])
+@pytest.mark.parametrize("kind", ["nodes", "modes"])
+def test_subdomains_are_connected_on_any_number_of_ranks_as_on_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Several blocks of numbers for each rank.
+    monkeypatch.setattr(sharing, "BLOCK", 16)
+    team = Team.world()
+    problem = linear_step()
+    region: RegionKinematics = problem.region
+    if kind == "modes":
+        # Two more unknowns, which are no edge's but every subdomain's.
+        modes = np.random.default_rng(1).normal(size=(problem.mesh.n_dofs, 2))
+        region = LinearRegion(problem.mesh, sparse.hstack([sparse.identity(problem.mesh.n_dofs), modes]).tocsr())
+    parts = split(problem.mesh, "metis", 9)
+    controlled = np.random.default_rng(0).random(region.n_unknowns) < 0.7
+    everything = build_subdomains(region, parts, controlled)
+    inside = np.ones(problem.mesh.n_nodes, dtype=bool)
+    unconnected = cut_subdomains(region, parts, controlled, inside)
+    mine = [unconnected[s] for s in split_evenly(np.ones(9), team.size)[team.rank]]
+    for found in connect_subdomains(mine, [s.controlled for s in mine], team):
+        expected = everything[found.index]
+        for name in ("node_multiplicity", "multiplicity", "n_owned_rows", "n_owned_copies"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+        for one, other in ((found.jumps, expected.jumps), (found.reactions, expected.reactions)):
+            for field in fields(one):
+                np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
 
 
 @pytest.mark.parallel([2, 3, 4])

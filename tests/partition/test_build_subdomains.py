@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.kinematics.nodal import NodalRegion, component_numbers
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.build_subdomains import build_subdomains, share_nodes
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.subdomain import Interface, Subdomain
 from support.interfaces import check_numbering, stack_jumps
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition
@@ -100,9 +100,3 @@ def test_one_subdomain_has_no_interface() -> None:
     mesh = grid_mesh(3, 3, (4.0, 4.0))
     (only,) = build_subdomains(NodalRegion(mesh), np.zeros(9, dtype=np.int64), np.ones(mesh.n_dofs, dtype=bool))
     assert (only.n_owned_rows, only.n_owned_copies, len(only.jumps.unknowns)) == (0, 0, 0)
-
-
-def test_nodes_of_no_cell_are_shared_by_none() -> None:
-    mesh = grid_mesh(2, 1, (4.0, 4.0))
-    bare = Mesh(np.vstack([mesh.nodes, [[99.0, 99.0]]]), mesh.connectivity, mesh.offsets, mesh.types)
-    assert share_nodes(bare, np.array([0, 1])).multiplicity.tolist() == [1, 2, 1, 1, 2, 1, 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,10 +123,13 @@ def test_subdomains_number_the_motions(mesh: Mesh, kind: str, n: int, sizes: lis
     n_motion_unknowns = [0, *sizes]
     labels = random_labels(mesh, len(n_motion_unknowns), seed)
     parts = keep_cameras_apart(random_partition(mesh, kind, n, seed), labels)
-    plain = build_subdomains(NodalRegion(mesh), parts, np.ones(mesh.n_dofs, dtype=bool))
-    cameras = [int(labels[s.cell_ids[0]]) for s in plain]
-    found = add_motions(plain, cameras, n_motion_unknowns, mesh.n_dofs)
+    plain = [replace(s, camera=int(labels[s.cell_ids[0]]))
+             for s in build_subdomains(NodalRegion(mesh), parts, np.ones(mesh.n_dofs, dtype=bool))]
     n_chains = sum(s.n_owned_rows for s in plain)
+    found = add_motions(plain, [s.camera for s in plain], n_motion_unknowns, mesh.n_dofs, n_chains)
+    # Whoever has them: the last ones get the same alone.
+    alone = add_motions(plain[-1:], [s.camera for s in plain], n_motion_unknowns, mesh.n_dofs, n_chains)
+    assert (alone[0].n_owned_rows, alone[0].numbers.tolist()) == (found[-1].n_owned_rows, found[-1].numbers.tolist())
     # All rows have an owner, those of the motions the last subdomain; numbers follow the field's, rows the chains.
     assert [s.n_owned_rows for s in found[:-1]] == [s.n_owned_rows for s in plain[:-1]]
     assert sum(s.n_owned_rows for s in found) == n_chains + sum(n_motion_unknowns)

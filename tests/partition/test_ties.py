@@ -17,8 +17,9 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.ties import Tying, tie_meshes
+from support.sharers import count_sharers
 
 FAR = build_structured_mesh((20, 20, 116, 116), 8)
 ISLAND, EDGE = (44.0, 36.0, 84.0, 76.0), (60.0, 20.0, 100.0, 60.0)
@@ -95,10 +96,9 @@ def test_subdomains_have_the_masters_of_their_slaves() -> None:
     mesh, tying = tie_meshes(FAR, {1: near_mesh(ISLAND, 3.1)})
     parts = tying.cameras
     region = TiedRegion(mesh, tying.weights)
-    sharing = share_unknowns(share_nodes(mesh, parts), region)
     slaves = tying.weights[tying.n_unknown_nodes:]
     masters = np.unique(slaves.indices)
-    shared = np.flatnonzero(sharing.multiplicity == 2)
+    shared = np.flatnonzero(count_sharers(region, parts) == 2)
     assert shared.tolist() == component_numbers(masters.astype(np.int64), 2).tolist()
     far, near = build_subdomains(region, parts, np.ones(region.n_unknowns, dtype=bool))
     assert isinstance(far.kinematics, NodalKinematics)

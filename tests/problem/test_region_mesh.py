@@ -114,12 +114,10 @@ def test_subdomains_cost_what_their_cells_do(tmp_path: Path) -> None:
 @pytest.mark.parallel(RANKS)
 def test_ranks_get_subdomains_and_the_same_region(shared_path: Path) -> None:
     team = Team.world()
-    found = None
-    parts = None
-    if team.is_root:
-        found = region_mesh_of(shared_path, "[solver]\nsubdomains = 5\n" + REGULARIZED)
-        parts = split_region(found, team.size)
-    subdomains, region = scatter_region(team, found, parts)
+    found = team.build_on_root(lambda: region_mesh_of(shared_path, "[solver]\nsubdomains = 5\n" + REGULARIZED))
+    parts = None if found is None else split_region(found, team.size)
+    inputs = inputs_of(shared_path / "case.toml")
+    subdomains, region = scatter_region(team, inputs, found, parts)
     assert team.gather_lists([s.index for s in subdomains]) == list(range(5))
     everyone = team.gather_lists([region])
     assert all(other.n_subdomains == 5 for other in everyone)
@@ -140,7 +138,7 @@ def test_a_near_camera_brings_its_motion_and_takes_its_cells(tmp_path: Path) -> 
     # Around the near field's nodes texture is not weighed against mechanics.
     assert not found.interior[np.unique(found.mesh.connectivity.reshape(-1, 4)[near.cells])].any()
     assert found.interior.any()
-    subdomains, _ = found.cut(split_region(found, 1))
+    subdomains, _ = scatter_region(Team.alone(), found.inputs, found, split_region(found, 1))
     assert [s.camera for s in subdomains] == sorted(s.camera for s in subdomains)
     assert {(s.camera, s.n_motion) for s in subdomains} == {(0, 0), (1, 2)}
 

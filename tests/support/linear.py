@@ -21,7 +21,7 @@ from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains, share_nodes, share_unknowns
+from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain, Weighting, interface_weights
 from ddic.solvers.dual.dual_problem import DualProblem, LocalDual
@@ -31,6 +31,7 @@ from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from support.oracles import make_on_root
 from support.pictures import source
+from support.sharers import count_sharers
 
 CELL = 8.0
 
@@ -125,7 +126,7 @@ def one_domain_solution(problem: StepProblem, parts: NDArray[np.int64], weightin
 
 def _solve_one_domain(problem: StepProblem, parts: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:
     whole = build_subdomains(problem.region, np.zeros(problem.mesh.n_cells, np.int64), problem.controlled)[0]
-    m = share_unknowns(share_nodes(problem.mesh, parts), problem.region).multiplicity
+    m = count_sharers(problem.region, parts)
     system = problem.system(whole, 1 / np.sqrt(m) if weighting == "paper" else np.ones(len(m)))
     operator = LocalOperator(system.operator, smallest_eigenvalue=0, where="whole mesh")
     try:

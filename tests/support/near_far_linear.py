@@ -108,9 +108,10 @@ def near_far_step(layout: Layout, kind: str, n_subdomains: int, motion: MotionKi
     else:
         parts = split_by_camera(labels, np.ones(mesh.n_cells), n_subdomains,
                                 lambda cells, n: split_by_metis(mesh.create_submesh(cells)[0], n))
-    subdomains = build_subdomains(base.region, parts, base.controlled)
-    subdomains = add_motions(subdomains, [int(labels[s.cell_ids[0]]) for s in subdomains],
-                             [c.setup.n_motion_unknowns for c in cameras], base.region.n_unknowns)
+    subdomains = [replace(s, camera=int(labels[s.cell_ids[0]]))
+                  for s in build_subdomains(base.region, parts, base.controlled)]
+    subdomains = add_motions(subdomains, [s.camera for s in subdomains], [c.setup.n_motion_unknowns for c in cameras],
+                             base.region.n_unknowns, sum(s.n_owned_rows for s in subdomains))
     rng = np.random.default_rng(7)
     motions = [rng.normal(size=c.setup.n_motion_unknowns) for c in cameras]
     q = [np.concatenate([rng.normal(size=s.n_field), motions[s.camera]]) for s in subdomains]

@@ -40,7 +40,7 @@ from ddic.partition.ties import Tying, tie_meshes
 from ddic.problem.assembly import assemble
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem, assemble_hessians, read_reference_views, weigh_cameras
-from ddic.problem.region_mesh import build_region_mesh, split_region
+from ddic.problem.region_mesh import build_region_mesh, scatter_region, split_region
 from ddic.solvers.linear_step import LinearStep, StepResult
 from ddic.solvers.petsc import PetscStack
 from support.near_camera import RATIO, assemble_texture, evaluate_motion, set_up_over_box, speckle
@@ -112,7 +112,7 @@ class TiedCut:
         self.team, self.problem, self.case = team, problem, problem.case(**solver)
         inputs = Inputs(self.case, problem.cameras, lambda: (problem.mesh, problem.tying))
         whole = build_region_mesh(inputs)
-        everything = whole.cut(split_region(whole, team.size))[0]
+        everything = scatter_region(Team.alone(), inputs, whole, split_region(whole, team.size))[0]
         self.subdomains = [everything[k] for k in split_evenly(np.ones(len(everything)), team.size)[team.rank]]
         # Subdomains at each mesh node, none of which is of two cameras.
         self.copies = np.zeros(problem.mesh.n_nodes)

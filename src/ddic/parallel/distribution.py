@@ -14,6 +14,7 @@ from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.functionals.grey_statistics import find_value_at
 from ddic.parallel.team import Team
+from ddic.partition.sharing import settle
 from ddic.partition.subdomain import Subdomain
 from ddic.separated.band_sums import BandSums
 
@@ -135,17 +136,11 @@ def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence
     shared = [np.flatnonzero(subdomain.node_multiplicity > 1) for subdomain in subdomains]
     # A rank always has a subdomain.
     nodes = np.concatenate([s.node_ids[places] for s, places in zip(subdomains, shared, strict=True)])
-    order = np.concatenate([np.full(len(places), s.index) for s, places in zip(subdomains, shared, strict=True)])
     values = np.concatenate([of_subdomain[places] for of_subdomain, places in zip(sums, shared, strict=True)])
-    adds_up = nodes % team.size
-    sent = {int(rank): np.flatnonzero(adds_up == rank) for rank in np.unique(adds_up)}
-    received = team.exchange({rank: (nodes[mine], order[mine], values[mine]) for rank, mine in sent.items()})
-    returned = team.exchange(_add_up(received))
-    total = np.empty_like(values)
-    for rank, mine in sent.items():
-        total[mine] = returned[rank]
     ends = np.cumsum([len(places) for places in shared])[:-1]
     result = []
+    # Copies come in the order of subdomains.
+    total = settle(team, nodes, values, _add_up)
     for of_subdomain, places, added in zip(sums, shared, np.split(total, ends), strict=True):
         whole = of_subdomain.copy()
         whole[places] = added
@@ -153,18 +148,13 @@ def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence
     return result
 
 
-def _add_up(received: dict[int, tuple[IntArray, IntArray, Array]]) -> dict[int, Array]:
-    """Sums for each rank that sent (nodes, subdomains, values), in the order in which it sent its own."""
-    if not received:
-        return {}
-    nodes, subdomains, values = (np.concatenate(arrays) for arrays in zip(*received.values(), strict=True))
-    order = np.lexsort((subdomains, nodes))
+def _add_up(nodes: IntArray, values: Array) -> Array:
+    """Sum the copies' values of each node, (n, k)."""
     number = np.unique(nodes, return_inverse=True)[1]
-    added = np.zeros((len(nodes), values.shape[1]))
+    added = np.zeros_like(values)
     # One after the other, as no other sum of numpy promises.
-    np.add.at(added, number[order], values[order])
-    ends = np.cumsum([len(sent[0]) for sent in received.values()])[:-1]
-    return dict(zip(received, np.split(added[number], ends), strict=True))
+    np.add.at(added, number, values)
+    return np.asarray(added[number])
 
 
 GATHERED = 2**14

@@ -240,26 +240,26 @@ def keep_cameras_apart(parts: IntArray, labels: IntArray) -> IntArray:
 
 
 def add_motions(subdomains: Sequence[Subdomain], cameras: Sequence[int], n_motion_unknowns: Sequence[int],
-                n_field: int) -> list[Subdomain]:
-    """Give subdomains their camera and the unknowns of its motion, numbered after those of the field.
+                n_field: int, n_chain_rows: int) -> list[Subdomain]:
+    """Give subdomains the unknowns of their cameras' motions, numbered after those of the field.
 
-    The last subdomain owns the interface rows of all motions. Subdomains are all of them, by number, with the camera of
-    each; ``n_motion_unknowns`` are those of each camera, ``n_field`` those of the whole field.
+    The last of all subdomains owns the interface rows of all motions, which follow those of all chains. By number of
+    subdomain and of camera, ``cameras`` are those of all subdomains and ``n_motion_unknowns`` their motions' unknowns;
+    ``n_field`` are those of the whole field.
     """
-    n_chain_rows = sum(subdomain.n_owned_rows for subdomain in subdomains)
     # Unknowns of all motions, camera after camera; each has a row of its own after those of the chains.
     first = np.concatenate([[0], np.cumsum(n_motion_unknowns)]).astype(np.int64)
     with_motion = []
-    for place, (subdomain, camera) in enumerate(zip(subdomains, cameras, strict=True)):
+    for subdomain in subdomains:
+        camera = subdomain.camera
         of_camera = np.arange(first[camera], first[camera + 1])
         motion = None
         if len(of_camera):
-            is_lowest = cameras.index(camera) == place
+            is_lowest = cameras.index(camera) == subdomain.index
             motion = MotionUnknowns(n_field + of_camera, n_chain_rows + of_camera, cameras.count(camera), is_lowest)
-        with_motion.append(replace(subdomain, camera=camera, motion=motion))
-    last = with_motion.pop()
-    n_motion_rows = int(first[-1])
-    return [*with_motion, replace(last, n_owned_rows=last.n_owned_rows + n_motion_rows)]
+        n_motion_rows = int(first[-1]) if subdomain.index == len(cameras) - 1 else 0
+        with_motion.append(replace(subdomain, motion=motion, n_owned_rows=subdomain.n_owned_rows + n_motion_rows))
+    return with_motion
 
 
 def _apportion(work: Array, total: int, most: Sequence[int]) -> list[int]:

@@ -45,6 +45,11 @@ class Interface:
     first_copy: IntArray
 
 
+_NONE = np.zeros(0, np.int64)
+NO_CHAINS = Interface(_NONE, _NONE, _NONE, _NONE, _NONE)
+"""Of a subdomain that shares nothing."""
+
+
 @dataclass(frozen=True)
 class MotionUnknowns:
     """Unknowns of the motion of a near-field set-up between its two pictures (alpha of Eq. 20 of [BP17]).

@@ -120,7 +120,7 @@ def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | Non
                        clock: PhaseClock, notes: tuple[str, ...] = ()) -> ReferenceProblem:
     case = inputs.case
     with clock.phase(Phase.START):
-        subdomains, region = scatter_region(team, region_mesh, parts)
+        subdomains, region = scatter_region(team, inputs, region_mesh, parts)
     with clock.phase(Phase.READ):
         views = team.together(lambda: read_reference_views(case, inputs.cameras, subdomains))
         n_pixels = team.sum(sum(view.n_pixels for view in views.flat))

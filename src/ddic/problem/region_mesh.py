@@ -26,8 +26,9 @@ from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.team import Team, require_held
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.build_subdomains import cut_subdomains
 from ddic.partition.determined import CutSides, keep_cameras_determined, keep_masters_determined, keep_sides_determined
+from ddic.partition.sharing import connect_subdomains
 from ddic.partition.split import (
     add_motions,
     estimate_cell_costs,
@@ -292,17 +293,13 @@ class RegionMesh:
                       self.mesh.mapping, notes)
 
     def cut(self, parts: IntArray) -> tuple[list[Subdomain], Array]:
-        """Cut the mesh into self-contained subdomains.
+        """Cut the mesh into subdomains that do not know yet what they share.
 
         ``parts``, (n_cells,), is the subdomain of each cell; none has cells of two cameras. All subdomains are given,
         by number, with the work of each, (n_subdomains,), pixels.
         """
-        # Also where equilibrium is not imposed: a frame may leave these unknowns to it.
-        has_row = np.full(self.kinematics.n_unknowns, self.inputs.case.regularization is not None)
-        subdomains = build_subdomains(self.kinematics, parts, self.controlled, self.interior, has_row)
-        cameras = [int(self.cameras[s.cell_ids[0]]) for s in subdomains]
-        n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in self.inputs.cameras]
-        subdomains = add_motions(subdomains, cameras, n_motion_unknowns, self.kinematics.n_unknowns)
+        subdomains = [replace(s, camera=int(self.cameras[s.cell_ids[0]]))
+                      for s in cut_subdomains(self.kinematics, parts, self.controlled, self.interior)]
         return subdomains, np.asarray(np.bincount(parts, weights=self.costs), dtype=np.float64)
 
 
@@ -381,7 +378,7 @@ def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) ->
     return keep_sides_determined(region.sides, region.cameras, parts)[cell_of]
 
 
-def scatter_region(team: Team, region_mesh: RegionMesh | None,
+def scatter_region(team: Team, inputs: Inputs, region_mesh: RegionMesh | None,
                    parts: IntArray | None) -> tuple[list[Subdomain], Region]:
     """Cut the mesh that rank 0 holds and give each rank its subdomains; collective.
 
@@ -390,6 +387,14 @@ def scatter_region(team: Team, region_mesh: RegionMesh | None,
     """
     subdomains = scatter_subdomains(team, lambda: require_held(region_mesh).cut(require_held(parts)))
     region = team.on_root(lambda: require_held(region_mesh).describe(int(require_held(parts).max()) + 1))
+    # Also where equilibrium is not imposed: a frame may leave these unknowns to it.
+    has_row = [np.full(s.n_field, inputs.case.regularization is not None) for s in subdomains]
+    subdomains = connect_subdomains(subdomains, has_row, team)
+    n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in inputs.cameras]
+    if any(n_motion_unknowns):
+        n_chain_rows = team.sum(sum(s.n_owned_rows for s in subdomains))
+        cameras = team.gather_lists([s.camera for s in subdomains])
+        subdomains = add_motions(subdomains, cameras, n_motion_unknowns, region.n_field, n_chain_rows)
     return subdomains, region
 
 

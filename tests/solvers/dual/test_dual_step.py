@@ -9,11 +9,11 @@ import pytest
 
 from ddic.errors import ConvergenceError, is_collective
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import share_nodes
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.preconditioner import Preconditioner
 from support.linear import Decomposed, linear_step, one_domain_solution, split
+from support.sharers import count_sharers_of_nodes
 
 RANKS = [1, 2, 3, 4]
 TIGHT = 1e-12
@@ -51,7 +51,7 @@ def test_dual_without_regularization_equals_monolithic(kind: str, n_subdomains: 
     with Decomposed(Team.world(), problem, parts, "consistent") as cut:
         steps = {p: cut.step(DualSettings(p, TIGHT, 3000)) for p in PRECONDITIONERS}
         errors = {p: cut.relative_error(cut.solve(step).dq, reference) for p, step in steps.items()}
-        m = share_nodes(problem.mesh, parts).multiplicity
+        m = count_sharers_of_nodes(problem.mesh, parts)
     assert max(errors.values()) <= SAME, errors
     # Lambda alone: m - 1 rows for each of the two components of a node with m copies, no LambdaBar.
     assert {step.n_interface for step in steps.values()} == {2 * int((m - 1).sum())}
