@@ -164,6 +164,13 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: BoolArr
     Square pixels, one for each column of ``evaluate_plane_waves``; the mesh is the whole region's, the wavelength l_c
     in pixels.
     """
+    forces = sum_wave_forces(mesh, material, wavelength)
+    rows = np.repeat(interior_nodes, mesh.dim)
+    return np.asarray((forces[rows] ** 2).sum(axis=0))
+
+
+def sum_wave_forces(mesh: Mesh, material: Material, wavelength: float) -> Array:
+    """Sum the forces K v of every plane wave on the mesh's nodes, (n_dofs, n_waves), pixels, K never assembled."""
     waves = evaluate_plane_waves(mesh.nodes, wavelength)
     forces = np.zeros_like(waves)
     for begin in range(0, mesh.n_cells, _GAP_CHUNK_CELLS):
@@ -171,8 +178,7 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: BoolArr
         part, node_ids = mesh.create_submesh(cells)
         dofs = (node_ids[:, None] * mesh.dim + np.arange(mesh.dim)).ravel()
         forces[dofs] += _wave_forces(part, material, waves[dofs])
-    rows = np.repeat(interior_nodes, mesh.dim)
-    return np.asarray((forces[rows] ** 2).sum(axis=0))
+    return forces
 
 
 def measure_texture_energies(nodes: Array, hessian: sparse.csr_matrix,

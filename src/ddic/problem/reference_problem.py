@@ -99,10 +99,8 @@ def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None
     """
     with clock.phase(Phase.START):
         inputs, region_mesh = choose_solver(team, inputs, region_mesh)
-        # The waves of the mesh here: rank 0 has less to do than who seeks the coarse field, and all need them later.
-        parts, _, found = team.together(lambda: (
-            None if region_mesh is None else split_region(region_mesh, team.size),
-            region_mesh and region_mesh.probe, meanwhile()))
+        parts, found = team.together(lambda: (
+            None if region_mesh is None else split_region(region_mesh, team.size), meanwhile()))
     problem = _read_and_assemble(team, inputs, region_mesh, parts, clock)
     case = inputs.case
     if case.solver.method != "dual" or case.regularization is None or problem.region.n_subdomains == 1:

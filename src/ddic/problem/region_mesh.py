@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.errors import InputError
 from ddic.functionals.line_band import weigh_corners
-from ddic.functionals.regularization import PHASES, HalfAmplitudes, Material, find_half_amplitudes, measure_gap_energies
+from ddic.functionals.regularization import PHASES, HalfAmplitudes, Material, find_half_amplitudes, sum_wave_forces
 from ddic.inputs.cameras import Camera, MeasuredCells, assign_cells, collect_measured_cells
 from ddic.inputs.inputs import Inputs
 from ddic.io.text_files import read_partition
@@ -24,7 +23,7 @@ from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
-from ddic.parallel.distribution import scatter_subdomains
+from ddic.parallel.distribution import scatter_subdomains, sum_shared_nodes
 from ddic.parallel.team import Team, require_held
 from ddic.partition.build_subdomains import cut_subdomains
 from ddic.partition.determined import CutSides, keep_cameras_determined, keep_masters_determined, keep_sides_determined
@@ -222,21 +221,24 @@ class Region:
     ----------
     n_nodes, n_cells, n_field, n_subdomains : int
         Numbers of nodes, cells, unknowns of the whole field, and subdomains.
-    probe : ProbeWaves or None
-        Plane waves that say which eta belongs to which wavelength; None where nothing is regularized.
+    shorter_side : float
+        Of the box about the mesh, pixels.
     mapping : Similarity
         From mesh units to pixels.
     notes : tuple of str
         What the user should know of it.
+    probe : ProbeWaves or None
+        Plane waves that say which eta belongs to which wavelength; None where nothing is regularized.
     """
 
     n_nodes: int
     n_cells: int
     n_field: int
     n_subdomains: int
-    probe: ProbeWaves | None
+    shorter_side: float
     mapping: Similarity
     notes: tuple[str, ...] = ()
+    probe: ProbeWaves | None = None
 
 
 @dataclass(frozen=True)
@@ -277,20 +279,11 @@ class RegionMesh:
         """The whole mesh."""
         return self.kinematics.mesh
 
-    @cached_property
-    def probe(self) -> ProbeWaves | None:
-        """Plane waves that say which eta belongs to which wavelength; None where nothing is regularized."""
-        section, mesh = self.inputs.case.regularization, self.mesh
-        if section is None:
-            return None
-        wavelength = section.cut_off_wavelength or float(np.ptp(mesh.nodes, axis=0).min()) / 4
-        return ProbeWaves(wavelength, measure_gap_energies(mesh, build_material(section), self.interior, wavelength))
-
     def describe(self, n_subdomains: int) -> Region:
-        """Say what every rank is to know: sizes, |K v|^2 of plane waves, and how much is cut."""
+        """Say what every rank is to know: sizes, and how much is cut."""
         notes = () if self.discontinuous is None else (f"discontinuities: {self.discontinuous.describe()}",)
-        return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains, self.probe,
-                      self.mesh.mapping, notes)
+        return Region(self.mesh.n_nodes, self.mesh.n_cells, self.kinematics.n_unknowns, n_subdomains,
+                      float(np.ptp(self.mesh.nodes, axis=0).min()), self.mesh.mapping, notes)
 
     def cut(self, parts: IntArray) -> tuple[list[Subdomain], Array]:
         """Cut the mesh into subdomains that do not know yet what they share.
@@ -387,15 +380,38 @@ def scatter_region(team: Team, inputs: Inputs, region_mesh: RegionMesh | None,
     """
     subdomains = scatter_subdomains(team, lambda: require_held(region_mesh).cut(require_held(parts)))
     region = team.on_root(lambda: require_held(region_mesh).describe(int(require_held(parts).max()) + 1))
+    return connect_region(team, inputs, subdomains, region)
+
+
+def connect_region(team: Team, inputs: Inputs, subdomains: Sequence[Subdomain],
+                   region: Region) -> tuple[list[Subdomain], Region]:
+    """Tell each rank's subdomains what they share with others, and all ranks of plane waves; collective."""
+    section = inputs.case.regularization
     # Also where equilibrium is not imposed: a frame may leave these unknowns to it.
-    has_row = [np.full(s.n_field, inputs.case.regularization is not None) for s in subdomains]
-    subdomains = connect_subdomains(subdomains, has_row, team)
+    has_row = [np.full(s.n_field, section is not None) for s in subdomains]
+    connected = connect_subdomains(subdomains, has_row, team)
+    if section is not None:
+        region = replace(region, probe=_probe_waves(team, section, connected, region.shorter_side))
     n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in inputs.cameras]
     if any(n_motion_unknowns):
-        n_chain_rows = team.sum(sum(s.n_owned_rows for s in subdomains))
-        cameras = team.gather_lists([s.camera for s in subdomains])
-        subdomains = add_motions(subdomains, cameras, n_motion_unknowns, region.n_field, n_chain_rows)
-    return subdomains, region
+        n_chain_rows = team.sum(sum(s.n_owned_rows for s in connected))
+        cameras = team.gather_lists([s.camera for s in connected])
+        connected = add_motions(connected, cameras, n_motion_unknowns, region.n_field, n_chain_rows)
+    return connected, region
+
+
+def _probe_waves(team: Team, section: RegularizationSection, subdomains: Sequence[Subdomain],
+                 shorter_side: float) -> ProbeWaves:
+    """Plane waves on all subdomains, the same to the last bit on any number of ranks; collective."""
+    wavelength, material = section.cut_off_wavelength or shorter_side / 4, build_material(section)
+    of_subdomains = team.together(lambda: [sum_wave_forces(s.mesh, material, wavelength) for s in subdomains])
+    # By node, of which each copy counts its share.
+    at_nodes = sum_shared_nodes(team, subdomains, [forces.reshape(s.mesh.n_nodes, -1)
+                                                   for s, forces in zip(subdomains, of_subdomains, strict=True)])
+    energies = [((forces[s.interior]**2) / s.node_multiplicity[s.interior, None]).sum(axis=0)
+                for s, forces in zip(subdomains, at_nodes, strict=True)]
+    n_waves = of_subdomains[0].shape[1]
+    return ProbeWaves(wavelength, team.ordered_sum(energies).reshape(-1, n_waves).sum(axis=0))
 
 
 def build_material(section: RegularizationSection) -> Material:
