@@ -295,3 +295,36 @@ def test_wavelengths_that_the_mesh_cannot_carry_are_refused(folder: Path, wavele
     assert words in problems[0]
     _check(folder, text.format(30.0))
     _check(folder, text.format(1e4))
+
+
+GRID_CASES = ["", "[regularization]\ncut_off_wavelength = 40\n",
+              '[regularization]\ncut_off_wavelength = 40\nnot_controlled = ["left", "top"]\n',
+              '[regularization]\neta = 2\nnot_controlled = ["boundary"]\nboxes = [[20, 30, 51, 41], [9, 9, 99, 26]]\n',
+              '[regularization]\neta = 2.0\nnot_controlled = ["lift"]\nboxes = [[25, 25, 29, 29], [500, 0, 600, 9]]\n',
+              "[regularization]\ncut_off_wavelength = 8\n", "[regularization]\neta = 1e30\n",
+              "[start]\npoints = [[50, 50, 51, 51]]\n", "[start]\npoints = [[3, 3, 4, 4]]\n"]
+
+
+@pytest.mark.parametrize("more", GRID_CASES)
+def test_a_grid_is_checked_as_the_mesh_that_nobody_builds(folder: Path, more: str) -> None:
+    # A mesh for METIS is built.
+    found, expected = (_report_or_problems(folder, f'{IMAGES}{GRID}{more}[solver]\npartition = "{partition}"\n')
+                       for partition in ("auto", "metis"))
+    assert found == expected
+
+
+@pytest.mark.parametrize("solver", ["subdomains = 49", "subdomains = 5", 'method = "monolithic"',
+                                    'partition = "blocks"\nblocks = [3, 2]', 'partition = "blocks"\nblocks = [9, 6]'])
+def test_a_grid_has_as_many_subdomains_at_most_as_its_mesh(folder: Path, solver: str) -> None:
+    # A mask of everything, which has the mesh built.
+    tifffile.imwrite(folder / "all.tif", np.ones((80, 100), np.uint8))
+    found, expected = (_report_or_problems(folder, f"{IMAGES}{GRID}{mask}[solver]\n{solver}\n")
+                       for mask in ("", 'mask = "all.tif"\n'))
+    assert found == expected
+
+
+def _report_or_problems(folder: Path, text: str) -> CheckReport | list[str]:
+    try:
+        return _check(folder, text)
+    except InputError as error:
+        return error.problems

@@ -16,7 +16,7 @@ from ddic.inputs import inputs as inputs_module
 from ddic.inputs.inputs import open_inputs
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh
-from support.cases import write_case, write_images
+from support.cases import REGION, write_case, write_images
 
 
 def _build_again(*_: object) -> NoReturn:
@@ -28,7 +28,8 @@ def test_the_mesh_that_was_checked_is_not_built_again(shared_path: Path, monkeyp
     team = Team(MPI.COMM_WORLD)
     if team.is_root:
         write_images(shared_path)
-        write_case(shared_path)
+        # One that rank 0 holds.
+        write_case(shared_path, region=f'{REGION}\ncell = "T3"')
     team.wait_for_all()
     loaded = team.on_root(lambda: load_checked_case(shared_path / "case.toml", team.size))
     monkeypatch.setattr(inputs_module, "build_meshes", _build_again)

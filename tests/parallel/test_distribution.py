@@ -18,7 +18,7 @@ from ddic.parallel.distribution import scatter_subdomains, split_evenly
 from ddic.parallel.team import Team
 from ddic.partition import sharing
 from ddic.partition.build_subdomains import build_subdomains, cut_subdomains
-from ddic.partition.sharing import connect_subdomains
+from ddic.partition.sharing import number_interfaces
 from support.linear import linear_step, split
 
 RANKS = [1, 2, 3, 4]
@@ -94,7 +94,7 @@ def test_subdomains_are_connected_on_any_number_of_ranks_as_on_one(kind: str, mo
     inside = np.ones(problem.mesh.n_nodes, dtype=bool)
     unconnected = cut_subdomains(region, parts, controlled, inside)
     mine = [unconnected[s] for s in split_evenly(np.ones(9), team.size)[team.rank]]
-    for found in connect_subdomains(mine, [s.controlled for s in mine], team):
+    for found in number_interfaces(mine, [s.controlled for s in mine], team):
         expected = everything[found.index]
         for name in ("node_multiplicity", "multiplicity", "n_owned_rows", "n_owned_copies"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)

@@ -40,7 +40,7 @@ def choose(folder: Path, solver: str = "", more: str = "", n_ranks: int = 2, mem
     cameras = open_cameras(case, open_image)
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height), **changes)
-    return weigh_candidates(build_region_mesh(inputs), n_ranks, memory)
+    return weigh_candidates(inputs, build_region_mesh(inputs).measure_sizes(), n_ranks, memory)
 
 
 def costs_of(choice: SolverChoice) -> set[str]:

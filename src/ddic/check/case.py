@@ -16,27 +16,37 @@ from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.methods import find_method
 from ddic.case.named_files import list_cameras, list_named_files
 from ddic.case.own_outputs import check_output
-from ddic.case.schema import Case, SolverSection
+from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.check.images import check_decodable, check_images, check_near_mapping, check_texture
 from ddic.errors import InputError, Problems
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
 from ddic.inputs.cameras import assign_cells, collect_measured_cells, open_cameras
 from ddic.inputs.inputs import StartPoints, check_start_points, load_start_points, require_points_inside
-from ddic.inputs.mesh_source import NO_INNER_NODE, build_mesh_anywhere, build_meshes, check_wavelength_fits
+from ddic.inputs.mesh_source import (
+    NO_INNER_NODE,
+    accept_mesh,
+    build_mesh_anywhere,
+    build_meshes,
+    build_plain_grid,
+    check_wavelength_fits,
+    is_plain_grid,
+)
 from ddic.io.image_file import open_image
 from ddic.io.input_file import FileStamps
 from ddic.io.result_reader import require_known_displacement
 from ddic.io.series_reader import read_frame_or_last
 from ddic.io.text_files import read_partition
-from ddic.mesh.cell_type import CELL_TYPES
+from ddic.mesh.cell_type import CELL_TYPES, Q4
 from ddic.mesh.cut_mesh import cut_mesh
+from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
-from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
+from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_not_controlled_nodes
 from ddic.partition.split import split_by_blocks
+from ddic.partition.split_grid import split_grid_by_blocks
 from ddic.partition.ties import Tying
 from ddic.problem.choose_solver import count_given_subdomains
 from ddic.problem.region_mesh import check_lines, describe_cut, describe_cut_off, list_discontinuities
@@ -186,6 +196,8 @@ def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: Sta
                   problems: Problems) -> CheckReport | None:
     """Check the mesh of a case and what refers to it; a mesh without problems is kept for the measurement."""
     case = loaded.case
+    if reference is not None and is_plain_grid(case):
+        return _check_on_grid(loaded, reference, points, problems)
     checked = _build_mesh(loaded, reference, problems)
     if checked is None:
         return None
@@ -196,7 +208,7 @@ def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: Sta
     # What is wrong already may be why nothing is seen; near images may show what the far one does not.
     if reference is not None and not problems.lines and not case.near:
         with problems.gathered(loaded.path):
-            check_texture(case, reference, checked.mesh)
+            check_texture(case, reference, checked.mesh, measure_cell_size(checked.mesh))
     if reference is None or problems.lines:
         return None
     loaded.kept_mesh.keep(case, checked.mesh, checked.tying)
@@ -267,34 +279,107 @@ def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems
             boundary = edge if checked.tying is None else checked.tying.boundary
             not_controlled = find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)
         with problems.gathered(loaded.path):
-            _check_wavelength(section.cut_off_wavelength, mesh, edge)
+            _check_wavelength(section.cut_off_wavelength, measure_cell_size(mesh), mesh.n_nodes - len(edge))
     with problems.gathered(loaded.path):
         check_lines(case, mesh)
     with problems.gathered():
         if case.solver.partition_file is not None:
             read_partition(case.solver.partition_file, mesh.n_cells)
     with problems.gathered(loaded.path):
-        _check_number_of_subdomains(case.solver, mesh)
+        _check_number_of_subdomains(case.solver, mesh.n_cells)
     return not_controlled
 
 
-def _check_number_of_subdomains(solver: SolverSection, mesh: Mesh) -> None:
+def _check_on_grid(loaded: LoadedCase, reference: ImageSource, points: StartPoints | None,
+                   problems: Problems) -> CheckReport | None:
+    """Check a rectangle of equal cells, of which nobody builds the whole mesh, and what refers to it."""
+    case = loaded.case
+    with problems.gathered():
+        grid = build_plain_grid(case)
+        outline, n_inner = grid.build_outline(), (len(grid.x) - 2) * (len(grid.y) - 2)
+        with problems.gathered():
+            accept_mesh(outline, case.mesh.name, reference.width, reference.height, is_built_in=True)
+        if points is not None:
+            with problems.gathered(None if case.start.points is None else loaded.path):
+                require_points_inside(points, outline)
+        section, n_controlled = case.regularization, 0
+        if section is not None:
+            with problems.gathered(loaded.path):
+                n_controlled = _count_controlled(grid, section)
+            with problems.gathered(loaded.path):
+                _check_wavelength(section.cut_off_wavelength, grid.cell_size, n_inner)
+        with problems.gathered(loaded.path):
+            _check_number_of_subdomains(case.solver, grid.n_cells)
+        if not problems.lines:
+            with problems.gathered(loaded.path):
+                check_texture(case, reference, outline, grid.cell_size)
+        if not problems.lines:
+            return _describe_grid(case, reference, grid, n_controlled)
+    return None
+
+
+def _count_controlled(grid: GridLines, section: RegularizationSection) -> int:
+    """How many nodes of a grid are controlled; raises InputError as ``find_not_controlled_nodes`` does."""
+    controlled = np.ones((len(grid.y), len(grid.x)), dtype=bool)
+    empty = []
+    for box in section.boxes:
+        x0, y0, x1, y1 = box
+        columns, rows = (grid.x >= x0) & (grid.x <= x1), (grid.y >= y0) & (grid.y <= y1)
+        controlled[np.ix_(rows, columns)] = False
+        if not (columns.any() and rows.any()):
+            empty.append(box)
+    # A box without nodes of the grid has none of its corners either.
+    find_not_controlled_nodes(grid.build_outline(), section.not_controlled, empty)
+    sides = grid.sides
+    for name in section.not_controlled:
+        for side in sides if name == BOUNDARY else [name]:
+            controlled.ravel()[sides[side]] = False
+    return int(controlled.sum())
+
+
+def _describe_grid(case: Case, reference: ImageSource, grid: GridLines, n_controlled: int) -> CheckReport:
+    columns, rows = grid.count_pixels()
+    if case.solver.method == "monolithic":
+        most_ranks = 1
+    elif case.solver.blocks is not None:
+        most_ranks = len(split_grid_by_blocks(grid, case.solver.blocks))
+    else:
+        most_ranks = case.solver.subdomains or grid.n_cells
+    return CheckReport(
+        image_size=(reference.width, reference.height),
+        bits=count_bits(reference),
+        n_nodes=grid.n_nodes,
+        n_cells=grid.n_cells,
+        n_dofs=2 * grid.n_nodes,
+        cell_counts={Q4.name: grid.n_cells},
+        node_sets={name: len(nodes) for name, nodes in grid.sides.items()},
+        pixels_min=int(columns.min() * rows.min()),
+        pixels_mean=float(columns.mean() * rows.mean()),
+        n_controlled_dofs=2 * n_controlled,
+        output=case.output.file,
+        discontinuities=None,
+        half_amplitudes=describe_cut_off(case.regularization),
+        most_ranks=most_ranks,
+    )
+
+
+def _check_number_of_subdomains(solver: SolverSection, n_cells: int) -> None:
     """Refuse more of them than cells; the schema lets only one of both keys be given."""
-    if solver.subdomains is not None and solver.subdomains > mesh.n_cells:
-        raise InputError(f"solver.subdomains = {solver.subdomains}: the mesh has only {mesh.n_cells} cells; ask for "
-                         "fewer subdomains")
-    if solver.blocks is not None and solver.blocks[0] * solver.blocks[1] > mesh.n_cells:
+    if solver.subdomains is not None and solver.subdomains > n_cells:
+        raise InputError(f"solver.subdomains = {solver.subdomains}: the mesh has only {n_cells} cells; ask for fewer "
+                         "subdomains")
+    if solver.blocks is not None and solver.blocks[0] * solver.blocks[1] > n_cells:
         raise InputError(f"solver.blocks = {list(solver.blocks)}: {solver.blocks[0] * solver.blocks[1]} blocks of a "
-                         f"mesh of only {mesh.n_cells} cells; ask for fewer")
+                         f"mesh of only {n_cells} cells; ask for fewer")
 
 
-def _check_wavelength(wavelength: float | None, mesh: Mesh, edge: IntArray) -> None:
+def _check_wavelength(wavelength: float | None, cell_size: float, n_inner_nodes: int) -> None:
     """Refuse one that the mesh does not carry, and a mesh without inner nodes, which says nothing of any."""
     if wavelength is None:
         return
-    if len(edge) == mesh.n_nodes:
+    if n_inner_nodes <= 0:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: {NO_INNER_NODE}")
-    check_wavelength_fits(wavelength, measure_cell_size(mesh))
+    check_wavelength_fits(wavelength, cell_size)
 
 
 def count_most_ranks(case: Case, mesh: Mesh) -> int:
@@ -308,7 +393,7 @@ def count_most_ranks(case: Case, mesh: Mesh) -> int:
     if solver.blocks is not None and not case.near:
         # Those without cells are dropped; those with cells of several cameras become several.
         return int(split_by_blocks(mesh, solver.blocks).max()) + 1
-    return count_given_subdomains(solver, mesh) or mesh.n_cells
+    return count_given_subdomains(solver, mesh.n_cells) or mesh.n_cells
 
 
 def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:

@@ -27,7 +27,6 @@ from ddic.inputs.mesh_source import check_weight_fits
 from ddic.io.image_file import ImageFile, hold_image, read_mask
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.problem.region_mesh import build_material
 
@@ -140,12 +139,12 @@ def _leaves_too_few(is_used: BoolArray) -> bool:
     return int(np.count_nonzero(is_used)) < min(LEAST_LEFT, is_used.size / 2)
 
 
-def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
+def check_texture(case: Case, reference: ImageSource, mesh: Mesh, cell_size: float) -> None:
     """Check that pixels of the mesh are left to measure by, and that the regularization does not drown them.
 
-    The mesh is inside the image. Raises InputError where next to every pixel of the mesh is masked or saturated, where
-    those that are left have one grey level, or where regularization.eta stands for a wavelength beyond what the mesh
-    carries.
+    The mesh, or one of the same region, is inside the image; ``cell_size`` is that of its cells, pixels. Raises
+    InputError where next to every pixel of the mesh is masked or saturated, where those that are left have one grey
+    level, or where regularization.eta stands for a wavelength beyond what the mesh carries.
     """
     images = case.images
     window = _bound(mesh.nodes).intersection(reference.extent)
@@ -164,7 +163,7 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh) -> None:
         lame, shear = material.lame
         part = ArraySource(reference.path, reference.read(_shrink(window)), reference.saturation)
         texture = measure_grey_levels(part).gradient_energy
-        check_weight_fits(section.eta, lame + 2 * shear, texture, measure_cell_size(mesh))
+        check_weight_fits(section.eta, lame + 2 * shear, texture, cell_size)
 
 
 def _bound(points: Array) -> Window:

@@ -8,10 +8,11 @@ from ddic.case.schema import Case, MappingSection, MeshSection, StructuredSectio
 from ddic.errors import InputError
 from ddic.io.image_file import read_mask
 from ddic.io.mesh_file import read_mesh
+from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import OutlinedHole, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, check_joints, repair
-from ddic.mesh.structured import build_structured_mesh, count_cells
+from ddic.mesh.structured import build_grid_lines, build_structured_mesh, count_cells
 from ddic.parallel.node import read_available_memory
 from ddic.parallel.team import require_held
 from ddic.partition.ties import Tying, tie_meshes
@@ -46,6 +47,21 @@ def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | Non
     if not near:
         return far, None
     return tie_meshes(far, near)
+
+
+def is_plain_grid(case: Case) -> bool:
+    """Tell whether a case asks for a rectangle of Q4 that nothing cuts, ties or splits in a way of its own."""
+    section = case.mesh.structured
+    if section is None or section.cell != "Q4" or section.circles or section.polygons or section.mask is not None:
+        return False
+    return not (case.near or case.discontinuity) and case.solver.partition in ("auto", "blocks")
+
+
+def build_plain_grid(case: Case) -> GridLines:
+    """Build the lines of the rectangle that a case asks for; raises InputError where cells would hold no pixel."""
+    section = require_held(case.mesh.structured)
+    _check_pixels(section)
+    return build_grid_lines(section.region, section.element_size)
 
 
 def build_mesh_anywhere(case: Case) -> Mesh:
@@ -91,14 +107,20 @@ def convert_mapping(section: MappingSection) -> Similarity:
     return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation, section.y_up)
 
 
-def _check_size(section: StructuredSection) -> None:
-    """Refuse a mesh that has elements without a pixel whatever its holes, or does not fit into memory, before it is."""
+def _check_pixels(section: StructuredSection) -> tuple[int, int]:
+    """Refuse a mesh that has elements without a pixel whatever its holes; columns and rows of others come back."""
     n_columns, n_rows = count_cells(section.region, section.element_size)
     x0, y0, x1, y1 = section.region
     n_pixels = (math.floor(x1 + 1) - math.ceil(x0), math.floor(y1 + 1) - math.ceil(y0))
     if n_columns > n_pixels[0] or n_rows > n_pixels[1]:
         raise InputError(f"mesh.structured: element_size = {section.element_size:g} asks for {n_columns} x {n_rows} "
                          f"elements on {n_pixels[0]} x {n_pixels[1]} pixels: some hold no pixel; use larger elements")
+    return n_columns, n_rows
+
+
+def _check_size(section: StructuredSection) -> None:
+    """Refuse a mesh that has elements without a pixel, or does not fit into memory, before it is built."""
+    n_columns, n_rows = _check_pixels(section)
     needed, left = n_columns * n_rows * BYTES_PER_CELL, read_available_memory()
     if needed > left:
         raise InputError(f"mesh.structured: {n_columns * n_rows:.3g} elements, {2 * n_columns * n_rows:.3g} unknowns, "

@@ -4,7 +4,7 @@ Rounding of the staircase that cells removed from a grid leave around a hole.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import CircularHole, Hole, OutlinedHole, PolygonalHole
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.quality import measure_shape_quality
@@ -167,47 +168,6 @@ MOST_CELLS = 1e9
 """Cells of a mesh: more than any image has pixels, and fewer than overflow a count."""
 
 
-@dataclass(frozen=True)
-class GridLines:
-    """Lines of a rectangular grid.
-
-    Attributes
-    ----------
-    x, y : (n_columns + 1,) and (n_rows + 1,) array
-        Of the vertical and of the horizontal lines, pixels.
-    """
-
-    x: Array
-    y: Array
-
-    @property
-    def nodes(self) -> Array:
-        """Crossings of the lines, row by row, ((n_rows + 1) (n_columns + 1), 2), pixels."""
-        x, y = np.meshgrid(self.x, self.y)
-        return np.column_stack([x.ravel(), y.ravel()])
-
-    @property
-    def quads(self) -> IntArray:
-        """Nodes of the rectangles, row by row, (n_rows n_columns, 4)."""
-        wide = len(self.x)
-        rows, columns = np.meshgrid(np.arange(len(self.y) - 1), np.arange(wide - 1), indexing="ij")
-        first = (rows * wide + columns).ravel()
-        return np.column_stack([first, first + 1, first + wide + 1, first + wide]).astype(np.int64)
-
-    @property
-    def centroids(self) -> Array:
-        """Centres of the rectangles, row by row, (n_rows n_columns, 2), pixels."""
-        between_x = (self.x[1:] + self.x[:-1]) / 2
-        between_y = (self.y[1:] + self.y[:-1]) / 2
-        return GridLines(between_x, between_y).nodes
-
-    @property
-    def sides(self) -> dict[str, IntArray]:
-        """Nodes on the sides; y points down, so that top is where y is smallest."""
-        numbers = np.arange(len(self.x) * len(self.y), dtype=np.int64).reshape(len(self.y), len(self.x))
-        return {"left": numbers[:, 0], "right": numbers[:, -1], "top": numbers[0], "bottom": numbers[-1]}
-
-
 def build_structured_mesh(region: Sequence[float], element_size: float, cell: Literal["Q4", "T3"] = "Q4",
                     circles: Sequence[tuple[tuple[float, float], float]] = (),
                     polygons: Sequence[Array | OutlinedHole] = (),
@@ -244,9 +204,7 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
         Where an argument is impossible, a hole removes no cell, or no cell is left.
     """
     _refuse_impossible(region, element_size, cell, mask)
-    x0, y0, x1, y1 = region
-    n_columns, n_rows = count_cells(region, element_size)
-    grid = GridLines(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
+    grid = build_grid_lines(region, element_size)
     holes: list[Hole] = [CircularHole(center, radius) for center, radius in circles]
     holes += [outline if isinstance(outline, OutlinedHole) else PolygonalHole(np.asarray(outline, dtype=np.float64))
               for outline in polygons]
@@ -277,6 +235,13 @@ def _refuse_impossible(region: Sequence[float], element_size: float, cell: str, 
         raise InputError(f'mesh.structured: cell = "{cell}": expected "Q4" or "T3"')
     if mask is not None and np.ndim(mask) != 2:
         raise InputError(f"mesh.structured: a mask of shape {np.shape(mask)}, (height, width) expected")
+
+
+def build_grid_lines(region: Sequence[float], element_size: float) -> GridLines:
+    """Lay the lines of a grid over a region, (x0, y0, x1, y1), pixels; raises InputError as ``count_cells`` does."""
+    x0, y0, x1, y1 = region
+    n_columns, n_rows = count_cells(region, element_size)
+    return GridLines(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
 
 
 def count_cells(region: Sequence[float], element_size: float) -> tuple[int, int]:

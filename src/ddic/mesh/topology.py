@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ddic.arrays import BoolArray, IntArray
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.mesh.cell_parts import find_offsets
 from ddic.mesh.mesh import Mesh
@@ -145,11 +145,16 @@ def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> IntArray:
 
     Raises InputError where the box holds no node.
     """
-    low, high = np.array(box[:mesh.dim]), np.array(box[mesh.dim:])
-    within = ((mesh.nodes >= low) & (mesh.nodes <= high)).all(axis=1)
+    within = is_in_box(mesh.nodes, box)
     if not within.any():
         raise InputError(f"the box {list(box)} (x0, y0, x1, y1 in pixels) holds no node of the mesh")
     return np.flatnonzero(within).astype(np.int64)
+
+
+def is_in_box(points: Array, box: Sequence[float]) -> BoolArray:
+    """Tell which points, (n, dim), lie in a closed box, its lowest corner, then its highest, pixels."""
+    dim = points.shape[1]
+    return np.asarray(((points >= np.array(box[:dim])) & (points <= np.array(box[dim:]))).all(axis=1))
 
 
 BOUNDARY = "boundary"

@@ -135,12 +135,12 @@ class DecomposedSession(MethodSession):
         self._listener, self._clock = listener, clock
         self._first_frame = first_frame
         with clock.phase(Phase.MESH):
-            region_mesh = build_whole_mesh(team, inputs)
+            whole = build_whole_mesh(team, inputs)
         with clock.phase(Phase.START):
-            measured = None if region_mesh is None else region_mesh.measured
+            measured = None if whole is None else whole.measured
             search = prepare_search(team, inputs, measured)
             begin_search = search.prepare(first_frame)
-        reference, found = prepare_reference(team, inputs, region_mesh, clock, begin_search)
+        reference, found = prepare_reference(team, inputs, whole, clock, begin_search)
         self._found_first = search.share(found)
         note_all(listener, reference.notes)
         self.problem = WeightedProblem(team, reference, clock, factorize_now=first_frame is None)

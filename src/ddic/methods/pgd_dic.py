@@ -27,8 +27,8 @@ from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.cell_type import Q4
+from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.mesh.structured import GridLines
 from ddic.methods.method import MethodSession
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import stop_if_asked

@@ -14,7 +14,7 @@ from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.functionals.grey_statistics import find_value_at
 from ddic.parallel.team import Team
-from ddic.partition.sharing import settle
+from ddic.partition.sharing import share_among_copies
 from ddic.partition.subdomain import Subdomain
 from ddic.separated.band_sums import BandSums
 
@@ -140,7 +140,7 @@ def sum_shared_nodes(team: Team, subdomains: Sequence[Subdomain], sums: Sequence
     ends = np.cumsum([len(places) for places in shared])[:-1]
     result = []
     # Copies come in the order of subdomains.
-    total = settle(team, nodes, values, _add_up)
+    total = share_among_copies(team, nodes, values, _add_up)
     for of_subdomain, places, added in zip(sums, shared, np.split(total, ends), strict=True):
         whole = of_subdomain.copy()
         whole[places] = added

@@ -5,8 +5,8 @@ import numpy as np
 from ddic.arrays import BoolArray, IntArray
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.sharing import OneRank, connect_subdomains
-from ddic.partition.subdomain import NO_CHAINS, Subdomain
+from ddic.partition.sharing import OneRank, number_interfaces
+from ddic.partition.subdomain import Subdomain, begin_subdomain
 
 
 def build_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: BoolArray,
@@ -21,7 +21,7 @@ def build_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: 
         interior = np.ones(kinematics.mesh.n_nodes, dtype=bool)
         interior[find_boundary_nodes(kinematics.mesh)] = False
     subdomains = cut_subdomains(kinematics, parts, controlled, interior)
-    return connect_subdomains(subdomains, [s.controlled for s in subdomains], OneRank())
+    return number_interfaces(subdomains, [s.controlled for s in subdomains], OneRank())
 
 
 def cut_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: BoolArray,
@@ -31,14 +31,8 @@ def cut_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: Bo
     for number, cells in enumerate(_group_by(parts, int(parts.max()) + 1)):
         mesh, node_ids = kinematics.mesh.create_submesh(cells)
         numbers = np.unique(kinematics.unknowns_at(node_ids)[0])
-        subdomains.append(Subdomain(
-            index=number, mesh=mesh, node_ids=node_ids, cell_ids=cells,
-            kinematics=kinematics.restrict(mesh, node_ids, numbers),
-            controlled=controlled[numbers],
-            interior=interior[node_ids],
-            node_multiplicity=np.ones(len(node_ids), np.int64),
-            multiplicity=np.ones(len(numbers), np.int64),
-            jumps=NO_CHAINS, reactions=NO_CHAINS, n_owned_rows=0, n_owned_copies=0))
+        subdomains.append(begin_subdomain(number, kinematics.restrict(mesh, node_ids, numbers), node_ids, cells,
+                                          controlled[numbers], interior[node_ids]))
     return subdomains
 
 

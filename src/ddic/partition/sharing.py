@@ -57,8 +57,8 @@ Decide = Callable[[IntArray, NDArray[Any]], NDArray[Any]]
 """From the numbers (n,) of all copies of some things and what each of them says, (n, k), to what each is told."""
 
 
-def settle(ranks: Ranks, numbers: IntArray, said: NDArray[Any], decide: Decide) -> NDArray[Any]:
-    """Settle something about things of which subdomains of several ranks have copies; collective.
+def share_among_copies(ranks: Ranks, numbers: IntArray, said: NDArray[Any], decide: Decide) -> NDArray[Any]:
+    """Decide something about things of which subdomains of several ranks have copies; collective.
 
     ``numbers``, (n,), are those of the things whose copies are here, and ``said``, (n, k), what each copy says. What
     each is told comes back in their order. Copies are decided on in the order of ranks, hence of subdomains.
@@ -83,8 +83,8 @@ def _decide_all(received: Mapping[int, tuple[IntArray, NDArray[Any]]], decide: D
     return dict(zip(received, np.split(told, ends), strict=True))
 
 
-def connect_subdomains(subdomains: Sequence[Subdomain], has_row: Sequence[BoolArray], ranks: Ranks) -> list[Subdomain]:
-    """Tell this rank's subdomains, at least one, what they share with others; collective.
+def number_interfaces(subdomains: Sequence[Subdomain], has_row: Sequence[BoolArray], ranks: Ranks) -> list[Subdomain]:
+    """Number the interfaces of this rank's subdomains, at least one, which did not know what they share; collective.
 
     ``has_row`` says by subdomain whether Kbar has a row for each unknown, (n_field,). Rows and copies of jumps and
     reactions are numbered by owner, kind and unknown, on any number of ranks alike.
@@ -123,7 +123,7 @@ def _count_copies(ranks: Ranks, indices: Sequence[int], numbers: Sequence[IntArr
     """
     at_places = [of_subdomain[at] for of_subdomain, at in zip(numbers, places, strict=True)]
     owners = np.repeat(indices, [len(at) for at in places])
-    told = settle(ranks, np.concatenate(at_places), owners[:, None], _decide_place)
+    told = share_among_copies(ranks, np.concatenate(at_places), owners[:, None], _decide_place)
     counted = []
     for of_subdomain, at, of_places in zip(numbers, places, _split_by(told, places), strict=True):
         multiplicity, position = np.ones(len(of_subdomain), np.int64), np.zeros(len(of_subdomain), np.int64)
@@ -155,9 +155,9 @@ def _number_chains(ranks: Ranks, numbers: Sequence[IntArray], unknowns: Sequence
     said = [np.where(first < 0, -1, first + np.tile(offset, 2)[:, None])
             for (first, _), offset in zip(owned, before, strict=True)]
     shared = [np.flatnonzero(multiplicity > 1) for multiplicity, _ in unknowns]
-    told = settle(ranks, np.concatenate([of_subdomain[at] for of_subdomain, at in zip(numbers, shared, strict=True)]),
-                  np.concatenate([of_subdomain[:, at].T for of_subdomain, at in zip(said, shared, strict=True)]),
-                  _decide_largest)
+    at_shared = [of_subdomain[at] for of_subdomain, at in zip(numbers, shared, strict=True)]
+    said_there = [of_subdomain[:, at].T for of_subdomain, at in zip(said, shared, strict=True)]
+    told = share_among_copies(ranks, np.concatenate(at_shared), np.concatenate(said_there), _decide_largest)
     for first, at, of_places in zip(said, shared, _split_by(told, shared), strict=True):
         first[:, at] = of_places.T
     return [(first, int(n_rows), int(n_copies)) for first, (n_rows, n_copies) in zip(said, counts, strict=True)]

@@ -166,6 +166,15 @@ class Subdomain:
         return self.kinematics.displacement(unknowns[:self.n_field])
 
 
+def begin_subdomain(index: int, kinematics: Kinematics, node_ids: IntArray, cell_ids: IntArray, controlled: BoolArray,
+                    interior: BoolArray) -> Subdomain:
+    """Begin a subdomain, which does not know yet what it shares with others; arguments are as its attributes."""
+    return Subdomain(index, kinematics.mesh, node_ids, cell_ids, kinematics, controlled, interior,
+                     node_multiplicity=np.ones(len(node_ids), np.int64),
+                     multiplicity=np.ones(kinematics.n_unknowns, np.int64),
+                     jumps=NO_CHAINS, reactions=NO_CHAINS, n_owned_rows=0, n_owned_copies=0)
+
+
 def interface_weights(multiplicity: IntArray, weighting: Weighting) -> Array:
     """Weigh the interface rows of Kbar_s and of Cbar_s^T, from the multiplicity of each unknown, (n_field,).
 

@@ -1,17 +1,15 @@
 """Which linear step is fastest for a case that leaves it open (``solver.method = "auto"``)."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import ceil
 
 from ddic.case.schema import SolverSection
 from ddic.inputs.inputs import Inputs, SolverChoice
 from ddic.io.text_files import read_partition
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.quality import measure_cell_size
 from ddic.parallel.node import measure_available_memory
-from ddic.parallel.team import Team, require_held
-from ddic.problem.region_mesh import RegionMesh, compute_cut_off_wavelength
+from ddic.parallel.team import Team
+from ddic.problem.region_mesh import RegionSizes, compute_cut_off_wavelength
 from ddic.solvers.petsc import ASSEMBLED, COARSE, is_mumps_missing
 from ddic.solvers.step_costs import StepCandidate, StepCosts, StepTask, predict_costs
 
@@ -41,30 +39,29 @@ OF_DUAL = {"weighting": "consistent", "preconditioner": "auto", "recycle": True,
 """Keys that only the interface problem asks, with their defaults: who gives another value wants it."""
 
 
-def choose_solver(team: Team, inputs: Inputs, region_mesh: RegionMesh | None) -> tuple[Inputs, RegionMesh | None]:
+def choose_solver(team: Team, inputs: Inputs, measure_sizes: Callable[[], RegionSizes]) -> Inputs:
     """Choose method, number of subdomains and preconditioner where the case leaves them open; collective.
 
-    Inputs whose case says the method stay as they are; otherwise their case says it now, and ``region_mesh``, on rank
-    0, has the same inputs. Raises InputError on all ranks, where a partition file cannot be read.
+    Inputs whose case says the method stay as they are; otherwise their case says it now. ``measure_sizes`` is called on
+    rank 0 only. Raises InputError on all ranks, where a partition file cannot be read.
     """
     if inputs.case.solver.method != "auto":
-        return inputs, region_mesh
+        return inputs
     memory = measure_available_memory(team)
-    choice = team.on_root(lambda: weigh_candidates(require_held(region_mesh), team.size, memory))
-    chosen = replace(inputs, case=choice.case, choice=choice, notes=(*inputs.notes, choice.note))
-    return chosen, None if region_mesh is None else replace(region_mesh, inputs=chosen)
+    choice = team.on_root(lambda: weigh_candidates(inputs, measure_sizes(), team.size, memory))
+    return replace(inputs, case=choice.case, choice=choice, notes=(*inputs.notes, choice.note))
 
 
-def weigh_candidates(region_mesh: RegionMesh, n_ranks: int, memory: int) -> SolverChoice:
+def weigh_candidates(inputs: Inputs, sizes: RegionSizes, n_ranks: int, memory: int) -> SolverChoice:
     """Weigh what can solve the linear steps of a region; free of communication.
 
     Of the candidates that fit into ``memory``, the bytes that each rank may still take, the one with the least
     predicted seconds is chosen; where none does, the one that takes the least memory.
     """
-    case, task = region_mesh.inputs.case, _describe_task(region_mesh, n_ranks)
-    costs = sorted((predict_costs(task, candidate) for candidate in _list_candidates(region_mesh, task)),
+    case, task = inputs.case, _describe_task(inputs, sizes, n_ranks)
+    costs = sorted((predict_costs(task, candidate) for candidate in _list_candidates(inputs, sizes, task)),
                    key=lambda found: found.seconds)
-    room = OF_MEMORY * (memory - PIXEL_BYTES * region_mesh.costs.sum() / n_ranks)
+    room = OF_MEMORY * (memory - PIXEL_BYTES * sizes.work / n_ranks)
     fitting = [found for found in costs if found.memory <= room]
     chosen = fitting[0] if fitting else min(costs, key=lambda found: found.memory)
     limit = _limit_iterations(chosen, fitting, case.solver)
@@ -73,38 +70,36 @@ def weigh_candidates(region_mesh: RegionMesh, n_ranks: int, memory: int) -> Solv
     return SolverChoice(case, case.model_copy(update={"solver": solver}), note, limit)
 
 
-def _describe_task(region_mesh: RegionMesh, n_ranks: int) -> StepTask:
-    inputs, mesh = region_mesh.inputs, region_mesh.mesh
-    wavelength = compute_cut_off_wavelength(inputs.case) / measure_cell_size(mesh)
+def _describe_task(inputs: Inputs, sizes: RegionSizes, n_ranks: int) -> StepTask:
+    wavelength = compute_cut_off_wavelength(inputs.case) / sizes.cell_size
     n_frames = inputs.case.solver.frames or inputs.n_frames
     n_steps = STEPS_OF_FRAME * n_frames
     is_started = inputs.case.start.independent and len(inputs.cameras) == 1
-    n_started = int(region_mesh.costs.sum()) * n_frames if is_started else 0
-    return StepTask(region_mesh.kinematics.n_unknowns, mesh.n_cells, wavelength, n_ranks, n_steps, n_started)
+    n_started = int(sizes.work) * n_frames if is_started else 0
+    return StepTask(sizes.n_unknowns, sizes.n_cells, wavelength, n_ranks, n_steps, n_started)
 
 
-def _list_candidates(region_mesh: RegionMesh, task: StepTask) -> Iterator[StepCandidate]:
+def _list_candidates(inputs: Inputs, sizes: RegionSizes, task: StepTask) -> Iterator[StepCandidate]:
     """What can solve the case."""
-    whole = region_mesh.mesh if region_mesh.discontinuous is None else region_mesh.discontinuous.whole
-    given = count_given_subdomains(region_mesh.inputs.case.solver, whole)
-    fewest = given or max(task.n_ranks, len(region_mesh.inputs.cameras))
-    yield from _list_dual(region_mesh, task, fewest, is_given=given is not None)
-    if _is_dual_wanted(region_mesh):
+    solver = inputs.case.solver
+    given = count_given_subdomains(solver, sizes.n_whole_cells)
+    fewest = given or max(task.n_ranks, len(inputs.cameras))
+    # Where parts of the mesh must stay together, more subdomains than there must be may not be possible.
+    yield from _list_dual(solver, task, fewest, may_be_more=given is None and sizes.is_plain)
+    if _is_dual_wanted(solver):
         return
     if not is_mumps_missing(ASSEMBLED):
         yield StepCandidate("assembled", fewest)
     if fewest == 1:
         # The dual method with one subdomain by its simpler name.
         yield StepCandidate("monolithic", 1)
-    if _are_iterations_predictable(region_mesh):
+    if _are_iterations_predictable(inputs, sizes):
         yield StepCandidate("conjugate_gradient", fewest)
 
 
-def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given: bool) -> Iterator[StepCandidate]:
-    solver = region_mesh.inputs.case.solver
-    counts = {fewest} if fewest > 1 or _is_dual_wanted(region_mesh) else set()
-    # Where parts of the mesh must stay together, more subdomains than there must be may not be possible.
-    if not is_given and _is_plain(region_mesh):
+def _list_dual(solver: SolverSection, task: StepTask, fewest: int, *, may_be_more: bool) -> Iterator[StepCandidate]:
+    counts = {fewest} if fewest > 1 or _is_dual_wanted(solver) else set()
+    if may_be_more:
         wanted = (ceil(task.n_cells / side**2 / task.n_ranks) * task.n_ranks for side in SIDES)
         counts |= {count for count in wanted if count > fewest}
     for count in sorted(counts):
@@ -116,36 +111,28 @@ def _list_dual(region_mesh: RegionMesh, task: StepTask, fewest: int, *, is_given
             yield StepCandidate("dual", count, "two_level")
 
 
-def count_given_subdomains(solver: SolverSection, whole: Mesh) -> int | None:
+def count_given_subdomains(solver: SolverSection, n_cells: int) -> int | None:
     """Count the subdomains that a case gives for a mesh without cut cells; None where it gives no number."""
     if solver.blocks is not None:
         return solver.blocks[0] * solver.blocks[1]
     if solver.partition_file is not None:
-        return int(read_partition(solver.partition_file, whole.n_cells).max()) + 1
+        return int(read_partition(solver.partition_file, n_cells).max()) + 1
     return solver.subdomains
 
 
-def _is_dual_wanted(region_mesh: RegionMesh) -> bool:
+def _is_dual_wanted(solver: SolverSection) -> bool:
     """Whether the case gives what the dual method alone asks for."""
-    solver = region_mesh.inputs.case.solver
     return any(getattr(solver, key) != value for key, value in OF_DUAL.items())
 
 
-def _is_plain(region_mesh: RegionMesh) -> bool:
-    """Whether one camera measures displacements of nodes, on a mesh that nothing cuts or ties."""
-    inputs = region_mesh.inputs
-    return (len(inputs.cameras) == 1 and region_mesh.tying is None and region_mesh.discontinuous is None
-            and inputs.choose_kinematics is None)
-
-
-def _are_iterations_predictable(region_mesh: RegionMesh) -> bool:
+def _are_iterations_predictable(inputs: Inputs, sizes: RegionSizes) -> bool:
     """Whether sizes tell the condition number of D^-1 A.
 
     They do not where unknowns are of several kinds, slivers are cut off cells, or eta is given, whose cut-off
     wavelength the texture tells.
     """
-    section = region_mesh.inputs.case.regularization
-    return _is_plain(region_mesh) and (section is None or section.eta is None)
+    section = inputs.case.regularization
+    return sizes.is_plain and (section is None or section.eta is None)
 
 
 def _state(solver: SolverSection, chosen: StepCosts, limit: int | None) -> SolverSection:
@@ -154,7 +141,7 @@ def _state(solver: SolverSection, chosen: StepCosts, limit: int | None) -> Solve
     changes: dict[str, object] = {"method": candidate.method}
     if candidate.method == "dual":
         changes["preconditioner"] = candidate.preconditioner
-        if solver.partition == "metis":
+        if solver.partition in ("auto", "metis"):
             changes["subdomains"] = candidate.n_subdomains
     if candidate.method == "conjugate_gradient" and limit is None:
         changes["max_iterations"] = max(solver.max_iterations, ceil(OF_PREDICTED * chosen.n_iterations))

@@ -32,7 +32,15 @@ from ddic.parallel.team import Team, require_held
 from ddic.partition.split import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.choose_solver import choose_solver
-from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, scatter_region, split_region
+from ddic.problem.grid_region import GridRegion, find_grid_region
+from ddic.problem.region_mesh import (
+    Region,
+    RegionMesh,
+    build_region_mesh,
+    finish_region,
+    scatter_region,
+    split_region,
+)
 from ddic.solvers.petsc import describe_missing_packages
 
 T = TypeVar("T")
@@ -84,41 +92,51 @@ class ReferenceProblem:
         return [q_s - before for q_s, before in zip(q, updated.restrict(self.subdomains), strict=True)]
 
 
-def build_whole_mesh(team: Team, inputs: Inputs) -> RegionMesh | None:
-    """Build the whole mesh on rank 0; collective. Raises InputError on all ranks, where the mesh is refused."""
-    return team.build_on_root(lambda: build_region_mesh(inputs))
+WholeMesh = RegionMesh | GridRegion | None
+"""What a rank has of the whole mesh: rank 0 all of it and the others nothing, or all of them a grid's lines."""
 
 
-def prepare_reference(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, clock: PhaseClock,
+def build_whole_mesh(team: Team, inputs: Inputs) -> WholeMesh:
+    """Build the whole mesh; collective. Raises InputError on all ranks, where the mesh is refused."""
+    grid = team.alike(lambda: find_grid_region(inputs))
+    return team.build_on_root(lambda: build_region_mesh(inputs)) if grid is None else grid
+
+
+def prepare_reference(team: Team, inputs: Inputs, whole: WholeMesh, clock: PhaseClock,
                       meanwhile: Callable[[], T]) -> tuple[ReferenceProblem, T]:
     """Choose how to solve, cut the mesh, read the reference images and assemble M; collective.
 
-    The whole mesh is on rank 0. ``meanwhile`` is work free of communication that other ranks do while rank 0 splits it;
+    ``meanwhile`` is work free of communication that other ranks do while rank 0 splits it;
     what this found on this rank is returned as well. No subdomain is blank where the others can hold it. Raises
     InputError on all ranks, where the mesh cannot be cut as asked, or leaves an image.
     """
     with clock.phase(Phase.START):
-        inputs, region_mesh = choose_solver(team, inputs, region_mesh)
+        held = whole
+        inputs = choose_solver(team, inputs, lambda: require_held(None if held is None else held.measure_sizes()))
+        whole = None if whole is None else replace(whole, inputs=inputs)
         parts, found = team.together(lambda: (
-            None if region_mesh is None else split_region(region_mesh, team.size), meanwhile()))
-    problem = _read_and_assemble(team, inputs, region_mesh, parts, clock)
+            split_region(whole, team.size) if isinstance(whole, RegionMesh) else None, meanwhile()))
+    problem = _read_and_assemble(team, inputs, whole, parts, clock)
     case = inputs.case
     if case.solver.method != "dual" or case.regularization is None or problem.region.n_subdomains == 1:
         # Without regularization a blank part is singular whatever the partition, and the factorisation says where.
         return problem, found
     with clock.phase(Phase.ASSEMBLE):
-        joined = join_blank_subdomains(team, region_mesh, problem)
+        joined = join_blank_subdomains(team, whole, problem)
     if joined is not None:
-        parts, note = joined
+        region_mesh, parts, note = joined
         problem = _read_and_assemble(team, inputs, region_mesh, parts, clock, (note,))
     return problem, found
 
 
-def _read_and_assemble(team: Team, inputs: Inputs, region_mesh: RegionMesh | None, parts: IntArray | None,
-                       clock: PhaseClock, notes: tuple[str, ...] = ()) -> ReferenceProblem:
+def _read_and_assemble(team: Team, inputs: Inputs, whole: WholeMesh, parts: IntArray | None, clock: PhaseClock,
+                       notes: tuple[str, ...] = ()) -> ReferenceProblem:
     case = inputs.case
     with clock.phase(Phase.START):
-        subdomains, region = scatter_region(team, inputs, region_mesh, parts)
+        if isinstance(whole, GridRegion):
+            subdomains, region = finish_region(team, inputs, *whole.cut(team))
+        else:
+            subdomains, region = scatter_region(team, inputs, whole, parts)
     with clock.phase(Phase.READ):
         views = team.together(lambda: read_reference_views(case, inputs.cameras, subdomains))
         n_pixels = team.sum(sum(view.n_pixels for view in views.flat))
@@ -134,11 +152,11 @@ def assemble_hessians(team: Team, views: Iterable[Sequence[View]]) -> Hessians:
     return team.together(lambda: ByView([view.assemble_hessian() for view in of_subdomain] for of_subdomain in views))
 
 
-def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
-                          problem: ReferenceProblem) -> tuple[IntArray | None, str] | None:
+def join_blank_subdomains(team: Team, whole: WholeMesh,
+                          problem: ReferenceProblem) -> tuple[RegionMesh | None, IntArray | None, str] | None:
     """Merge subdomains, or loose pieces of them, without texture with neighbours of the same camera; collective.
 
-    The whole mesh is on rank 0, and there the new subdomain of each cell, (n_cells,), of which none is blank; beside it
+    Gives the whole mesh and the new subdomain of each cell, (n_cells,), of which none is blank, both on rank 0, and
     what the user should know. None where no subdomain is blank, and where all are. Raises InputError on all ranks,
     where fewer subdomains than ranks are left.
     """
@@ -149,6 +167,11 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
     blank = _find_blank([texture for *_, texture in described], cameras)
     if not blank.any():
         return None
+    # Pieces are joined by the facets that they share, over the whole mesh.
+    if isinstance(whole, GridRegion):
+        region_mesh = team.build_on_root(lambda: build_region_mesh(problem.inputs))
+    else:
+        region_mesh = whole
     cells = team.gather_to([cells for _, cells, _ in pieces])
 
     def merge() -> IntArray:
@@ -167,7 +190,7 @@ def join_blank_subdomains(team: Team, region_mesh: RegionMesh | None,
 
     parts = team.build_on_root(merge)
     n_left = team.on_root(lambda: int(require_held(parts).max()) + 1)
-    return parts, _describe(owner, blank, n_left)
+    return region_mesh, parts, _describe(owner, blank, n_left)
 
 
 def _find_pieces(problem: ReferenceProblem) -> Iterator[tuple[Subdomain, IntArray, Texture]]:

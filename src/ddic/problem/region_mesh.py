@@ -20,14 +20,14 @@ from ddic.kinematics.nodal import NodalRegion
 from ddic.kinematics.tip_functions import TipPatch, enrich_at_tips, find_bends_at_tips, find_tips
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh, is_cut_by
 from ddic.mesh.mesh import Mesh, Similarity
-from ddic.mesh.quality import measure_areas
+from ddic.mesh.quality import measure_areas, measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.parallel.distribution import scatter_subdomains, sum_shared_nodes
 from ddic.parallel.team import Team, require_held
 from ddic.partition.build_subdomains import cut_subdomains
 from ddic.partition.determined import CutSides, keep_cameras_determined, keep_masters_determined, keep_sides_determined
-from ddic.partition.sharing import connect_subdomains
+from ddic.partition.sharing import number_interfaces
 from ddic.partition.split import (
     add_motions,
     estimate_cell_costs,
@@ -242,6 +242,30 @@ class Region:
 
 
 @dataclass(frozen=True)
+class RegionSizes:
+    """What the choice of a solver asks of a region.
+
+    Attributes
+    ----------
+    n_unknowns, n_cells, n_whole_cells : int
+        Unknowns of the field, cells, and cells before discontinuities cut them.
+    cell_size : float
+        Root of the cells' mean area, pixels.
+    work : float
+        Of all cells, pixels.
+    is_plain : bool
+        Whether one camera measures displacements of nodes, on a mesh that nothing cuts or ties.
+    """
+
+    n_unknowns: int
+    n_cells: int
+    n_whole_cells: int
+    cell_size: float
+    work: float
+    is_plain: bool
+
+
+@dataclass(frozen=True)
 class RegionMesh:
     """The whole mesh, on rank 0 only.
 
@@ -278,6 +302,14 @@ class RegionMesh:
     def mesh(self) -> Mesh:
         """The whole mesh."""
         return self.kinematics.mesh
+
+    def measure_sizes(self) -> RegionSizes:
+        """Measure what the choice of a solver asks for."""
+        whole = self.mesh if self.discontinuous is None else self.discontinuous.whole
+        is_plain = (len(self.inputs.cameras) == 1 and self.tying is None and self.discontinuous is None
+                    and self.inputs.choose_kinematics is None)
+        return RegionSizes(self.kinematics.n_unknowns, self.mesh.n_cells, whole.n_cells, measure_cell_size(self.mesh),
+                           float(self.costs.sum()), is_plain)
 
     def describe(self, n_subdomains: int) -> Region:
         """Say what every rank is to know: sizes, and how much is cut."""
@@ -380,16 +412,16 @@ def scatter_region(team: Team, inputs: Inputs, region_mesh: RegionMesh | None,
     """
     subdomains = scatter_subdomains(team, lambda: require_held(region_mesh).cut(require_held(parts)))
     region = team.on_root(lambda: require_held(region_mesh).describe(int(require_held(parts).max()) + 1))
-    return connect_region(team, inputs, subdomains, region)
+    return finish_region(team, inputs, subdomains, region)
 
 
-def connect_region(team: Team, inputs: Inputs, subdomains: Sequence[Subdomain],
+def finish_region(team: Team, inputs: Inputs, subdomains: Sequence[Subdomain],
                    region: Region) -> tuple[list[Subdomain], Region]:
-    """Tell each rank's subdomains what they share with others, and all ranks of plane waves; collective."""
+    """Number the interfaces of all ranks' subdomains, and measure plane waves on them; collective."""
     section = inputs.case.regularization
     # Also where equilibrium is not imposed: a frame may leave these unknowns to it.
     has_row = [np.full(s.n_field, section is not None) for s in subdomains]
-    connected = connect_subdomains(subdomains, has_row, team)
+    connected = number_interfaces(subdomains, has_row, team)
     if section is not None:
         region = replace(region, probe=_probe_waves(team, section, connected, region.shorter_side))
     n_motion_unknowns = [camera.setup.n_motion_unknowns for camera in inputs.cameras]

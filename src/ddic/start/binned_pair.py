@@ -18,9 +18,9 @@ from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.mesh.cell_parts import Lines
 from ddic.mesh.cell_type import Q4
+from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import rasterize
-from ddic.mesh.structured import GridLines
 
 CELL = 16
 """Side of the grid's cells, blocks. A larger value gives smoother fields, found more surely."""
