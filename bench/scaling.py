@@ -59,8 +59,8 @@ def counted(n_ranks: int, files: list[Path]) -> None:
 def weak(folder: Path, n_ranks: int) -> None:
     """One subdomain a rank, one level at the short wavelength and two at the long one."""
     blocks = round(n_ranks**0.5)
-    if blocks**2 != n_ranks or not 2 <= blocks <= 8:
-        raise RuntimeError(f"--ranks {n_ranks}: must be a square from 4 to 64")
+    if blocks**2 != n_ranks or not 2 <= blocks <= 16:
+        raise RuntimeError(f"--ranks {n_ranks}: must be a square from 4 to 256")
     # Without swap the system would end programs, and not necessarily this one.
     if n_ranks * RANK_MIB * 2**20 > available_bytes() / 2:
         raise RuntimeError(f"--ranks {n_ranks}: takes {n_ranks * RANK_MIB / 1024:.0f} GiB, more than half of the "

@@ -23,7 +23,7 @@ from petsc4py import PETSc
 
 from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
-from ddic.parallel.team import Team
+from ddic.parallel.team import _EXCHANGED, Team
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.dual.coarse_space import CoarseSpace
@@ -132,10 +132,15 @@ class CountingComm(MPI.Intracomm):
 
     def recv(self, buf: Any = None, source: int = MPI.ANY_SOURCE, tag: int = MPI.ANY_TAG,
              status: MPI.Status | None = None) -> Any:
-        """A message."""
+        """A message; those of an exchange, which has no root, are booked by themselves."""
         found = super().recv(buf, source, tag, status)
-        LEDGER.add("message", messages=1, n_bytes=_size(found))
+        LEDGER.add("exchanged" if tag == _EXCHANGED else "message", messages=1, n_bytes=_size(found))
         return found
+
+    def isend(self, obj: Any, dest: int, tag: int = 0) -> MPI.Request:
+        """A message that is on its way."""
+        LEDGER.add("message", messages=1, n_bytes=_size(obj))
+        return super().isend(obj, dest, tag)
 
 
 def _size(thing: Any) -> int:

@@ -47,7 +47,7 @@ from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.fields import convert_to_six_components, describe_nodal_strains
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import last_field_kept
-from ddic.results.publishing import describe_image, write_case
+from ddic.results.publishing import describe_images, write_case
 from ddic.results.residual_image import Patch, write_patches
 from ddic.results.summary import Summary, find_field_ranges
 from ddic.separated.band_sums import N_BANDS
@@ -267,8 +267,8 @@ class SeparatedMeasurement:
     def describe_origin(self) -> dict[str, str | int]:
         """Say what it was measured from: sizes, and the images with their checksums."""
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains, "method": schema.PGD,
-                **describe_image("reference", self.inputs.cameras[0].reference.image),
-                **describe_image("deformed", self.frame[0].image)}
+                **describe_images(self.team, {"reference": self.inputs.cameras[0].reference.image,
+                                              "deformed": self.frame[0].image})}
 
 
 def list_corrections(records: Sequence[CorrectionRecord]) -> dict[str, list[Any]]:

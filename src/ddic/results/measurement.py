@@ -32,7 +32,7 @@ from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import ProblemSize, WeightedProblem
 from ddic.results.fields import list_iterations, write_pieces, write_tables
 from ddic.results.near import SetupMotion, measure_motions, summarize_near_field
-from ddic.results.publishing import describe_image
+from ddic.results.publishing import describe_images
 from ddic.results.residual_image import write_residual_images
 from ddic.results.summary import Summary, find_field_ranges
 from ddic.solvers.gauss_newton import IterationRecord
@@ -208,7 +208,7 @@ class Measurement:
         reference = self.cameras[0].reference.image if updated is None else updated.first_image
         return {"n_ranks": self.size.n_ranks, "n_subdomains": self.size.n_subdomains,
                 "method": self.method, "preconditioner": self.preconditioner,
-                **describe_image("reference", reference), **describe_image("deformed", deformed),
+                **describe_images(self.team, {"reference": reference, "deformed": deformed}),
                 "compared_with_path": str(self.cameras[0].reference.image.path)}
 
 

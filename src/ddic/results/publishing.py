@@ -6,7 +6,7 @@ How it leaves the program, to a file or to memory; where a result comes from: im
 import hashlib
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from functools import cache, lru_cache
@@ -90,7 +90,7 @@ class Publishable(Protocol):
         Returns
         -------
         dict
-            Images and sizes, by name; on rank 0.
+            Images and sizes, by name.
         """
 
     def summarize(self, of_run: dict[str, Any]) -> Summary:
@@ -163,6 +163,17 @@ def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
             f"{name}_sha256": checksum}
 
 
+def describe_images(team: Team, images: Mapping[str, ImageSource]) -> dict[str, str | int]:
+    """Describe images as ``describe_image`` does, each on a rank of its own: a checksum of a large file takes seconds.
+
+    Collective.
+    """
+    owners = [k * team.size // len(images) for k in range(len(images))]
+    mine = team.together(lambda: [describe_image(name, image) for (name, image), owner
+                                  in zip(images.items(), owners, strict=True) if owner == team.rank])
+    return {key: value for described in team.gather_lists(mine) for key, value in described.items()}
+
+
 Add = Callable[[ResultWriter], None]
 """Writes on rank 0 what else belongs in a result file."""
 
@@ -202,9 +213,11 @@ def _write(measurement: Publishable, path: Path | None, take: Callable[[ResultWr
         writer = team.build_on_root(lambda: stack.enter_context(ResultWriter(path, flip_y=flip_y, files=files)))
         measurement.write(writer)
 
+        origin = measurement.describe_origin()
+
         def finish() -> T:
             opened = require_held(writer)
-            opened.write_attributes(schema.PROVENANCE, collect_provenance(measurement.describe_origin()))
+            opened.write_attributes(schema.PROVENANCE, collect_provenance(origin))
             return take(opened)
 
         result = team.build_on_root(finish)
