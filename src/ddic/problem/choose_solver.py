@@ -10,7 +10,7 @@ from ddic.io.text_files import read_partition
 from ddic.parallel.node import measure_available_memory
 from ddic.parallel.team import Team
 from ddic.problem.region_mesh import RegionSizes, compute_cut_off_wavelength
-from ddic.solvers.petsc import ASSEMBLED, COARSE, is_mumps_missing
+from ddic.solvers.petsc import ASSEMBLED, COARSE_FACTOR, is_mumps_missing
 from ddic.solvers.step_costs import StepCandidate, StepCosts, StepTask, predict_costs
 
 STEPS_OF_FRAME = 5
@@ -107,7 +107,7 @@ def _list_dual(solver: SolverSection, task: StepTask, fewest: int, *, may_be_mor
             yield StepCandidate("dual", count, solver.preconditioner)
             continue
         yield StepCandidate("dual", count)
-        if task.is_regularized and count >= FEWEST_FOR_TWO_LEVELS and not is_mumps_missing(COARSE):
+        if task.is_regularized and count >= FEWEST_FOR_TWO_LEVELS and not is_mumps_missing(COARSE_FACTOR):
             yield StepCandidate("dual", count, "two_level")
 
 

@@ -126,7 +126,7 @@ def describe_missing_packages(method: str) -> tuple[str, ...]:
     if (method in LOCAL_FACTORS and chosen != "cholmod"
             and PETSc.Options().getString("local_" + PACKAGE, chosen) == chosen):
         lines.append(f"PETSc was built without SuiteSparse: {chosen} factorises the operators in CHOLMOD's place")
-    if method == "dual" and is_mumps_missing("coarse_"):
+    if method == "dual" and is_mumps_missing(COARSE_FACTOR):
         lines.append("PETSc was built without MUMPS: inverses of subdomains are arrays whatever their size, and a "
                      "coarse problem is factorised on every rank by PETSc itself")
     if method == "assembled" and is_mumps_missing("assembled_"):
@@ -140,6 +140,9 @@ release_freed_memory()
 LOCAL = "local_"
 DUAL = "dual_"
 COARSE = "coarse_"
+COARSE_FACTOR = "coarse_telescope_"
+"""The coarse matrix is factorised by some ranks, or by one; PETSc has this prefix follow that of who chooses them."""
+
 INVERSE = "inverse_"
 SCHUR = "schur_"
 ASSEMBLED = "assembled_"
@@ -157,7 +160,8 @@ DEFAULTS: dict[str, dict[str, str]] = {
         # hundred unknowns, these take longer (at 40, CHOLMOD's own, by a half); beyond, entry by entry takes longer.
         "mat_cholmod_supernodal_switch": "100",
     },
-    COARSE: {
+    COARSE: {"ksp_type": "preonly", "pc_type": "telescope"},
+    COARSE_FACTOR: {
         **_FACTOR_BY_MUMPS,
         "ksp_error_if_not_converged": "true",
         # Room beyond MUMPS's estimate, in per cent: nearly dependent coarse vectors delay pivots.
@@ -194,13 +198,46 @@ def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
     ``prefix`` is a key of ``DEFAULTS``. The caller sets operators and tolerances, then calls ``setFromOptions`` last,
     and destroys it in the end.
     """
+    _set_defaults(prefix)
+    ksp = PETSc.KSP().create(comm)
+    ksp.setOptionsPrefix(prefix)
+    return ksp
+
+
+COARSE_UNKNOWNS = 4000
+"""Unknowns of a coarse problem for each rank that factorises it: 0.4 s, and as long as the messages of more ranks. A
+larger number makes fewer ranks do more."""
+
+
+def create_coarse_ksp(comm: PETSc.Comm, n_unknowns: int) -> PETSc.KSP:
+    """Create what factorises a coarse problem of so many unknowns, spread over as many ranks as these are worth.
+
+    The caller uses it as what ``create_ksp`` creates.
+    """
+    n_ranks = min(comm.size, max(1, -(-n_unknowns // COARSE_UNKNOWNS)))
+    step = comm.size // n_ranks
+    if is_mumps_missing(COARSE_FACTOR):
+        return create_ksp(comm, COARSE)
+    if step == 1:
+        return create_ksp(comm, COARSE_FACTOR)
+    _set_defaults(COARSE_FACTOR)
+    ksp = create_ksp(comm, COARSE)
+    options, name = PETSc.Options(), f"{COARSE}pc_telescope_reduction_factor"
+    is_given = options.hasName(name)
+    if not is_given:
+        options.setValue(name, step)
+    ksp.setFromOptions()
+    if not is_given:
+        # That of another coarse problem may be another one.
+        options.delValue(name)
+    return ksp
+
+
+def _set_defaults(prefix: str) -> None:
     options = PETSc.Options()
     for name, value in _choose_defaults(prefix).items():
         if not options.hasName(prefix + name):
             options.setValue(prefix + name, value)
-    ksp = PETSc.KSP().create(comm)
-    ksp.setOptionsPrefix(prefix)
-    return ksp
 
 
 def _choose_defaults(prefix: str) -> dict[str, str]:
@@ -208,8 +245,10 @@ def _choose_defaults(prefix: str) -> dict[str, str]:
     defaults = DEFAULTS[prefix]
     if prefix == LOCAL:
         return defaults | {PACKAGE: choose_local_package()}
+    if prefix == COARSE and is_mumps_missing(COARSE_FACTOR):
+        return REPLICATED
     if defaults.get(PACKAGE) == "mumps" and is_mumps_missing(prefix):
-        return REPLICATED if prefix == COARSE else defaults | {PACKAGE: choose_local_package()}
+        return defaults | {PACKAGE: choose_local_package()}
     return defaults
 
 

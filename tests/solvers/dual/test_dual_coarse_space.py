@@ -8,6 +8,7 @@ from scipy import linalg, sparse
 
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import scaled_incidence
+from ddic.solvers import petsc
 from ddic.solvers.dual import coarse_space
 from ddic.solvers.dual.coarse_space import CoarsePart, CoarseSpace, _soften, build_coarse_columns, find_low_energy_modes
 from ddic.solvers.dual.dual_problem import DualSchurOperator
@@ -56,7 +57,10 @@ def test_a_subdomain_smaller_than_the_number_of_modes_gives_what_it_has() -> Non
 
 
 @pytest.mark.parallel(RANKS)
-def test_the_preconditioner_inverts_the_operator_on_the_coarse_space() -> None:
+@pytest.mark.parametrize("unknowns_a_rank", [petsc.COARSE_UNKNOWNS, 100, 1], ids=["one", "some", "all"])
+def test_the_preconditioner_inverts_the_operator_on_the_coarse_space(monkeypatch: pytest.MonkeyPatch,
+                                                                     unknowns_a_rank: int) -> None:
+    monkeypatch.setattr(petsc, "COARSE_UNKNOWNS", unknowns_a_rank)
     # A-DEF2: (P - Q S P + Q) S z = P S z - Q S P S z + z, and with z in the range of Z the projected part
     # is free of coarse components: Z^T S (y - z) = 0 exactly.
     problem = linear_step(wavelength=64.0)

@@ -17,7 +17,7 @@ from ddic.parallel.team import Team
 from ddic.solvers.dual.dual_problem import LocalDual
 from ddic.solvers.exchange import Exchange, ParallelEntries
 from ddic.solvers.local_system import LocalOperator, LocalSystem
-from ddic.solvers.petsc import COARSE, PetscStack, create_ksp, to_petsc_integers
+from ddic.solvers.petsc import PetscStack, create_coarse_ksp, to_petsc_integers
 
 INDEPENDENT = 1e-8
 """Singular value, relative to the largest, below which a subdomain's coarse vectors count as dependent: a larger one
@@ -96,7 +96,7 @@ def _find_basis(columns: Array) -> Array:
 class CoarseSpace:
     """Z and the factorised coarse matrix Z^T S_tot Z, sparse and spread over ranks.
 
-    PETSc options (prefix ``coarse_``): the coarse matrix is factorised by MUMPS (LDL^T, symmetric indefinite).
+    PETSc options (prefix ``coarse_telescope_``): some ranks factorise the coarse matrix by MUMPS (LDL^T, indefinite).
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ class CoarseSpace:
             diagonal.setArray(diagonal.getArray() + SHIFT * largest * signs)
             matrix.setDiagonal(diagonal)
             matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-            ksp = stack.keep(create_ksp(team.comm, COARSE))
+            ksp = stack.keep(create_coarse_ksp(team.comm, matrix.getSize()[0]))
             # The solver holds the matrix from here on.
             ksp.setOperators(matrix)
             ksp.setFromOptions()
