@@ -190,7 +190,7 @@ Correction = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
 def solve_dual(team: Team, whole: RegionMesh, frame: Frame, at: State) -> tuple[dict[str, float], list[Correction]]:
     """Solve the linear step by the dual method; collective."""
     clock, inputs = PhaseClock(), whole.inputs
-    reference, _ = prepare_reference(team, inputs, whole if team.is_root else None, clock, lambda: None)
+    reference, _ = prepare_reference(team, inputs, whole if team.is_root else None, clock)
     problem = WeightedProblem(team, reference, clock)
     try:
         model = replace(problem.build_residual_model(problem.open_frame(frame)), correction="none")

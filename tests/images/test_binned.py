@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ddic.images import binned
-from ddic.images.binned import ArraySource, bin_image
+from ddic.images.binned import ArraySource, BinnedSource, bin_image, bin_rows
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from support.pictures import source
@@ -84,3 +86,21 @@ def test_an_image_in_memory_gives_windows_in_its_own_type_that_nobody_writes_to(
 def test_windows_outside_an_image_in_memory_are_refused(window: Window) -> None:
     with pytest.raises(ValueError, match="empty or leaves the image of 6 x 5 pixels"):
         ArraySource(Path("memory"), np.zeros((5, 6))).read(window)
+
+
+@given(window=st.tuples(*[st.integers(0, 5)] * 2, *[st.integers(1, 4)] * 2), rows=st.tuples(*[st.integers(0, 20)] * 2),
+       ratio=st.sampled_from([1, 2]))
+def test_blocks_that_are_averaged_where_they_are_read_are_those_of_the_whole_image(
+        window: tuple[int, int, int, int], rows: tuple[int, int], ratio: int) -> None:
+    rng = np.random.default_rng(2)
+    # Sums of whole numbers are exact in whatever order.
+    image = source(rng.integers(0, 255, (41, 44)).astype(float), rng.random((41, 44)) < 0.97)
+    first, end = min(rows), max(rows)
+    held = bin_rows(image, 2, range(first, end))
+    x, y, width, height = window
+    part = Window((x, y), (x + width, y + height))
+    coarse = bin_image(image, 2 * ratio)
+    grey, mask = (BinnedSource(image, held, first, 2, ratio, shows_mask) for shows_mask in (False, True))
+    assert (grey.extent, mask.extent) == (coarse.extent, coarse.extent)
+    np.testing.assert_array_equal(grey.read(part), coarse.image.read(part))
+    np.testing.assert_array_equal(mask.read(part), coarse.find_usable(part))

@@ -200,7 +200,7 @@ def test_joined_subdomains_have_their_pixels_and_their_m(shared_path: Path) -> N
     team = Team(MPI.COMM_WORLD)
     inputs, _ = open_inputs(team, load_case(_write(shared_path, CORNER, BLOCKS + CORNER.regularization)))
     region_mesh = build_whole_mesh(team, inputs)
-    problem, _ = prepare_reference(team, inputs, region_mesh, PhaseClock(), lambda: None)
+    problem, _ = prepare_reference(team, inputs, region_mesh, PhaseClock())
     assert problem.region.n_subdomains == 12
     assert team.gather_lists([s.index for s in problem.subdomains]) == list(range(12))
     for (own,), (hessian,) in zip(problem.views, problem.hessians, strict=True):

@@ -51,7 +51,7 @@ def _inputs(folder: Path, team: Team, more: str) -> tuple[Inputs, Frame]:
 
 def _prepare(team: Team, inputs: Inputs) -> tuple[CoarseSearch, ReferenceProblem]:
     region_mesh = build_whole_mesh(team, inputs)
-    problem, _ = prepare_reference(team, inputs, region_mesh, PhaseClock(), lambda: None)
+    problem, _ = prepare_reference(team, inputs, region_mesh, PhaseClock())
     return prepare_search(team, inputs, None if region_mesh is None else region_mesh.measured), problem
 
 
@@ -62,7 +62,7 @@ def test_a_start_from_zero_reads_no_image(shared_path: Path) -> None:
     search, problem = _prepare(team, inputs)
     unread = MaskedSource(_Unread())
     blind = replace(search, cameras=tuple(replace(camera, reference=unread) for camera in search.cameras))
-    found = blind.share(team.together(blind.prepare((unread,))))
+    _, found = blind.find((unread,), lambda: None)
     assert found is not None
     start, notes = fit_found_fields(search, problem, found)
     for subdomain, q in zip(problem.subdomains, start, strict=True):
@@ -75,7 +75,7 @@ def test_a_frame_that_is_not_known_is_not_searched(shared_path: Path) -> None:
     team = Team(MPI.COMM_WORLD)
     inputs, _ = _inputs(shared_path, team, "")
     search, _ = _prepare(team, inputs)
-    assert search.share(team.together(search.prepare(None))) is None
+    assert search.find(None, lambda: 7) == (7, None)
 
 
 @pytest.mark.parallel(RANKS)
@@ -83,7 +83,7 @@ def test_subdomains_start_from_the_coarse_field_of_the_whole(shared_path: Path) 
     team = Team(MPI.COMM_WORLD)
     inputs, frame = _inputs(shared_path, team, "[solver]\nsubdomains = 4\n")
     search, problem = _prepare(team, inputs)
-    found = search.share(team.together(search.prepare(frame)))
+    _, found = search.find(frame, lambda: None)
     assert found is not None
     start, notes = fit_found_fields(search, problem, found)
     for subdomain, q in zip(problem.subdomains, start, strict=True):

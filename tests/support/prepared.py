@@ -15,7 +15,7 @@ from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, p
 def prepare(team: Team, path: Path) -> ReferenceProblem:
     """Cut the mesh, read the reference images and assemble M; collective."""
     inputs, _ = open_inputs(team, load_case(path))
-    problem, _ = prepare_reference(team, inputs, build_whole_mesh(team, inputs), PhaseClock(), lambda: None)
+    problem, _ = prepare_reference(team, inputs, build_whole_mesh(team, inputs), PhaseClock())
     return problem
 
 

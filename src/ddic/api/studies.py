@@ -347,7 +347,7 @@ def estimate_nodal_noise(inputs: Inputs, sigma: float) -> float:
     team, clock = Team.alone(), PhaseClock()
     case = inputs.case.model_copy(update={"solver": SolverSection(method="monolithic")})
     inputs = replace(inputs, case=case)
-    reference, _ = prepare_reference(team, inputs, build_whole_mesh(team, inputs), clock, lambda: None)
+    reference, _ = prepare_reference(team, inputs, build_whole_mesh(team, inputs), clock)
     problem = WeightedProblem(team, reference, clock)
     try:
         step, system = problem.solver.step, problem.solver.assembly.systems[0]

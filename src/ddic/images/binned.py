@@ -118,6 +118,73 @@ def join_blocks(source: MaskedSource, bands: Sequence[Blocks]) -> MaskedSource:
     return MaskedSource(ArraySource(path, np.concatenate([b.values for b in bands])), mask, excludes_taps=False)
 
 
+@dataclass(frozen=True, eq=False)
+class BinnedSource(SizedImage):
+    """Blocks of an image, averaged where they are read, from smaller ones where these are held.
+
+    Attributes
+    ----------
+    pixels : MaskedSource
+        The image.
+    held : Blocks
+        Rows of the smaller blocks, in memory.
+    first_row : int
+        The first of these rows.
+    factor, ratio : int
+        Side of a smaller block, pixels, and of a block, smaller blocks.
+    shows_mask : bool
+        Whether its values are 1 where a block counts, else 0, in place of grey levels.
+    """
+
+    pixels: MaskedSource
+    held: Blocks
+    first_row: int
+    factor: int
+    ratio: int = 1
+    shows_mask: bool = False
+
+    @property
+    def path(self) -> Path:
+        """Where the image comes from."""
+        return self.pixels.image.path
+
+    @property
+    def saturation(self) -> float | None:
+        """None: means are no integers."""
+        return None
+
+    @cached_property
+    def extent(self) -> Window:
+        """The box of all blocks."""
+        image, side = self.pixels.image, self.factor * self.ratio
+        return Window.of_size(image.width // side, image.height // side)
+
+    def read(self, window: Window) -> NDArray[np.float32]:
+        """Average the blocks of a window, inside the image."""
+        wide = Window.between(*(self.ratio * np.array(corner) for corner in (window.lower, window.upper)))
+        begin, end = np.clip((self.first_row, self.first_row + len(self.held.values)), wide.y0, wide.y1).tolist()
+        averaged = [self._average(wide.take_rows(wide.y0, begin)), self._look_up(wide.take_rows(begin, end)),
+                    self._average(wide.take_rows(end, wide.y1))]
+        values = np.concatenate([rows for rows in averaged if len(rows)])
+        if self.ratio == 1:
+            return values
+        means = _means(values, self.ratio)
+        return np.asarray(means == 1.0, dtype=np.float32) if self.shows_mask else means
+
+    def _average(self, window: Window) -> NDArray[np.float32]:
+        pixels = Window.between(*(self.factor * np.array(corner) for corner in (window.lower, window.upper)))
+        return self._choose(bin_window(self.pixels, self.factor, pixels))
+
+    def _look_up(self, window: Window) -> NDArray[np.float32]:
+        held = self._choose(self.held)
+        return held[window.y0 - self.first_row:window.y1 - self.first_row, window.x0:window.x1]
+
+    def _choose(self, blocks: Blocks) -> NDArray[np.float32]:
+        if not self.shows_mask:
+            return blocks.values
+        return np.ones_like(blocks.values) if blocks.usable is None else blocks.usable
+
+
 def _finite(pixels: NDArray[Any]) -> NDArray[np.float32]:
     grey = pixels.astype(np.float32)
     if not np.issubdtype(pixels.dtype, np.integer):

@@ -139,9 +139,8 @@ class DecomposedSession(MethodSession):
         with clock.phase(Phase.START):
             measured = None if whole is None else whole.measured
             search = prepare_search(team, inputs, measured)
-            begin_search = search.prepare(first_frame)
-        reference, found = prepare_reference(team, inputs, whole, clock, begin_search)
-        self._found_first = search.share(found)
+        reference, self._found_first = prepare_reference(team, inputs, whole, clock,
+                                                         lambda split: search.find(first_frame, split))
         note_all(listener, reference.notes)
         self.problem = WeightedProblem(team, reference, clock, factorize_now=first_frame is None)
         self._start = FrameStart(search, self.problem, clock)

@@ -211,11 +211,7 @@ class Team:
 
         Raises on all ranks what the work raises.
         """
-        items = self.build_on_root(work)
-        with self.waiting.counted():
-            self._hear_from(0)
-            item: T = self.comm.scatter(items, root=0)
-        return item
+        return self.scatter(self.build_on_root(work))
 
     def together(self, work: Callable[[], T]) -> T:
         """Run work, free of communication, on every rank, and return this rank's own result.
@@ -320,6 +316,15 @@ class Team:
             held = item if self.rank == root else copied
         result: T = held
         return result
+
+    def scatter(self, items: Sequence[T] | None, root: int = 0) -> T:
+        """Give each rank its item of what one of them, the root, holds, one a rank."""
+        if self.size == 1 and items is not None:
+            return items[0]
+        with self.waiting.counted():
+            self._hear_from(root)
+            item: T = self.comm.scatter(items, root=root)
+        return item
 
     def gather_lists(self, items: Iterable[T]) -> list[T]:
         """Join the lists of all ranks, in the order of ranks, on every rank."""

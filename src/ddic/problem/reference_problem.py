@@ -96,6 +96,10 @@ WholeMesh = RegionMesh | GridRegion | None
 """What a rank has of the whole mesh: rank 0 all of it and the others nothing, or all of them a grid's lines."""
 
 
+Split = Callable[[], IntArray | None]
+"""Finds the subdomain of each cell, (n_cells,), on rank 0 where that has the whole mesh; free of communication."""
+
+
 def build_whole_mesh(team: Team, inputs: Inputs) -> WholeMesh:
     """Build the whole mesh; collective. Raises InputError on all ranks, where the mesh is refused."""
     grid = team.alike(lambda: find_grid_region(inputs))
@@ -103,19 +107,23 @@ def build_whole_mesh(team: Team, inputs: Inputs) -> WholeMesh:
 
 
 def prepare_reference(team: Team, inputs: Inputs, whole: WholeMesh, clock: PhaseClock,
-                      meanwhile: Callable[[], T]) -> tuple[ReferenceProblem, T]:
+                      work_beside: Callable[[Split], tuple[IntArray | None, T]] | None = None,
+                      ) -> tuple[ReferenceProblem, T | None]:
     """Choose how to solve, cut the mesh, read the reference images and assemble M; collective.
 
-    ``meanwhile`` is work free of communication that other ranks do while rank 0 splits it;
-    what this found on this rank is returned as well. No subdomain is blank where the others can hold it. Raises
+    ``work_beside`` has each rank do what it is given, by which rank 0 splits the mesh, and other work beside it;
+    what this found is returned as well. No subdomain is blank where the others can hold it. Raises
     InputError on all ranks, where the mesh cannot be cut as asked, or leaves an image.
     """
     with clock.phase(Phase.START):
         held = whole
         inputs = choose_solver(team, inputs, lambda: require_held(None if held is None else held.measure_sizes()))
         whole = None if whole is None else replace(whole, inputs=inputs)
-        parts, found = team.together(lambda: (
-            split_region(whole, team.size) if isinstance(whole, RegionMesh) else None, meanwhile()))
+
+        def split() -> IntArray | None:
+            return split_region(whole, team.size) if isinstance(whole, RegionMesh) else None
+
+        parts, found = (team.together(split), None) if work_beside is None else work_beside(split)
     problem = _read_and_assemble(team, inputs, whole, parts, clock)
     case = inputs.case
     if case.solver.method != "dual" or case.regularization is None or problem.region.n_subdomains == 1:

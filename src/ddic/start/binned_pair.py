@@ -48,6 +48,10 @@ COARSEST = 64
 """Largest block, pixels. A level finds displacements of about a block beyond its start; a larger value reaches
 further."""
 
+FINEST = 8
+"""Blocks, pixels, that the finest level need not be smaller than: it finds displacements to a part of a pixel. A larger
+value starts large images from farther off, a smaller one takes longer."""
+
 MARGIN = 0.5
 """What is seen around the region, times its longer side: it may turn by any angle about its middle, and grow by two
 thirds beside what the translation takes. A larger value finds larger motions, in larger blocks."""
@@ -91,13 +95,14 @@ class BinnedPair:
         """Scale a mesh in blocks, perhaps cut, to pixels."""
         return _map_mesh(mesh, self.factor, self.centre)
 
-    def find_active(self, mesh: Mesh) -> NDArray[np.uint8]:
-        """Mark the blocks whose centre lies in a mesh, itself in blocks, and that are not masked.
+    def find_active(self, mesh: Mesh, window: Window | None = None) -> NDArray[np.uint8]:
+        """Mark the blocks of a window, or all, whose centre lies in a mesh, itself in blocks, and that are not masked.
 
         Returns 1 on active blocks, 0 elsewhere, (rows, columns).
         """
-        covered = rasterize(mesh).find_covered(self.reference.image.width, self.reference.image.height)
-        usable = self.reference.find_usable(self.reference.extent)
+        window = self.reference.extent if window is None else window
+        covered = rasterize(mesh).draw_cells(np.arange(mesh.n_cells), window)
+        usable = self.reference.find_usable(window)
         return covered if usable is None else covered & usable
 
     def bin_at_sizes(self, sizes: Iterable[int]) -> dict[int, BinnedPair]:
@@ -181,55 +186,55 @@ def _map_mesh(mesh: Mesh, factor: int, origin: float | Array) -> Mesh:
 
 @dataclass(frozen=True)
 class BlockGrid:
-    """Square cells that hold active blocks, within a regular grid over the region's bounding box.
+    """Square cells that hold active blocks, within a regular grid.
 
     Attributes
     ----------
+    lines : GridLines
+        The full grid's, blocks.
     mesh : Mesh
         The cells, blocks.
     numbers : (mesh.n_nodes,) array of int64
         Numbers of its nodes in the full grid, row after row.
-    shape : (rows, columns)
-        Nodes of the full grid.
-    origin, spacing : (2,) array
-        The full grid's first node, and what is between its nodes, blocks.
     """
 
+    lines: GridLines
     mesh: Mesh
     numbers: IntArray
-    shape: tuple[int, int]
-    origin: Array
-    spacing: Array
 
-    def make_field(self, displacement: Array, pair: BinnedPair) -> GridField:
-        """Make a field on the full grid, pixels, of displacements of the cells' nodes, (mesh.n_dofs,), blocks.
-
-        Nodes without a cell have the nearest node's value.
-        """
-        values = np.full((*self.shape, 2), np.nan)
-        values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2) * pair.factor
-        x0, y0 = self.origin * pair.factor + pair.centre
-        step_x, step_y = self.spacing * pair.factor
-        return GridField((x0, y0), (step_x, step_y), fill_absent(values))
+    def place_on_grid(self, displacement: Array) -> Array:
+        """Write displacements of the cells' nodes, (mesh.n_dofs,), on the full grid, (rows, columns, 2), else nan."""
+        values = np.full((len(self.lines.y), len(self.lines.x), 2), np.nan)
+        values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2)
+        return values
 
 
-def build_grid(region: Mesh, active: NDArray[np.uint8]) -> BlockGrid:
-    """Build a grid over a region in blocks, without the cells that have no active block.
-
-    Its cells have a side of about ``CELL`` blocks; ``active``, (rows, columns), is 1 on the blocks that count.
-    """
+def choose_grid_lines(region: Mesh, pair: BinnedPair) -> GridLines:
+    """Choose the lines of a grid of cells with a side of about ``CELL`` blocks over a region, which is in blocks."""
     # Pixels that fill no block may lie beyond the last one's edge.
-    n_rows_of_blocks, n_columns_of_blocks = active.shape
-    edge = np.array([n_columns_of_blocks, n_rows_of_blocks]) - 0.5
-    low, high = np.maximum(region.nodes.min(axis=0), -0.5), np.minimum(region.nodes.max(axis=0), edge)
+    low, high = np.maximum(region.nodes.min(axis=0), -0.5), np.minimum(region.nodes.max(axis=0), pair.size - 0.5)
     n_columns, n_rows = np.maximum(np.round((high - low) / CELL).astype(int), 1)
-    grid = GridLines(np.linspace(low[0], high[0], n_columns + 1), np.linspace(low[1], high[1], n_rows + 1))
-    full = build_mesh(grid.nodes, {Q4: grid.quads})
-    n_active = rasterize(full).sum_by_cell(active)
-    mesh, numbers = full.create_submesh(np.flatnonzero(n_active > 0))
-    shape = (int(n_rows) + 1, int(n_columns) + 1)
-    spacing = (high - low) / (n_columns, n_rows)
-    return BlockGrid(mesh, numbers, shape, low, spacing)
+    return GridLines(np.linspace(low[0], high[0], n_columns + 1), np.linspace(low[1], high[1], n_rows + 1))
+
+
+def build_grid(lines: GridLines, active: NDArray[np.uint8], window: Window) -> BlockGrid:
+    """Build a grid without the cells that have no active block.
+
+    ``active``, (rows, columns), is 1 on the blocks of a window that count.
+    """
+    full = build_mesh(lines.nodes, {Q4: lines.quads})
+    n_active = rasterize(full).sum_by_cell(active, window.x0, window.y0)
+    return BlockGrid(lines, *full.create_submesh(np.flatnonzero(n_active > 0)))
+
+
+def make_grid_field(lines: GridLines, values: Array, pair: BinnedPair) -> GridField:
+    """Make a field, pixels, of displacements on the full grid, (rows, columns, 2), blocks.
+
+    Nodes that are nan have the nearest node's value.
+    """
+    x0, y0 = (float(line[0]) * pair.factor + pair.centre for line in (lines.x, lines.y))
+    step_x, step_y = (float(np.ptp(line)) / (len(line) - 1) * pair.factor for line in (lines.x, lines.y))
+    return GridField((x0, y0), (step_x, step_y), fill_absent(values * pair.factor))
 
 
 def choose_finest_block(n_pixels: int) -> int:
@@ -255,6 +260,14 @@ def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
     while sizes[-1] < COARSEST and side / (2 * sizes[-1]) >= SMALLEST_SIDE:
         sizes.append(2 * sizes[-1])
     return [size for size in reversed(sizes) if side / size >= CELL]
+
+
+def choose_further_block_sizes(sizes: list[int]) -> list[int]:
+    """Choose the block sizes of levels finer than some, coarsest first, for several ranks."""
+    all_sizes = list(sizes)
+    while all_sizes and all_sizes[-1] > FINEST:
+        all_sizes.append(all_sizes[-1] // 2)
+    return all_sizes[len(sizes):]
 
 
 def choose_rigid_block(n_pixels: int, mesh: Mesh) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from ddic.arrays import Array, BoolArray
 from ddic.case.schema import Case, StartSection
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import View
-from ddic.images.binned import bin_rows, join_blocks
 from ddic.images.rigid import build_uniform_field
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera, Frame, MeasuredCells
@@ -23,13 +22,17 @@ from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team, require_held
+from ddic.parallel.workers import Workers
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.region_mesh import list_discontinuities
-from ddic.start.binned_pair import BinnedPair, choose_finest_block
+from ddic.start.binned_pair import choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
+from ddic.start.level import Helpers, PairOfRank, hold_rows
 from ddic.start.multilevel import MultilevelStart, Pyramid, find_multilevel_start, find_start_from_given
+
+Own = TypeVar("Own")
 
 LookedUp = tuple[Array, BoolArray]
 """Displacement of a subdomain's nodes, (n_nodes, 2), pixels, and which of them are known, (n_nodes,)."""
@@ -41,7 +44,9 @@ SeenRegion = tuple[Mesh, Discontinuities]
 
 @dataclass(frozen=True)
 class CoarseSearch:
-    """The search for a coarse field of each camera: rigid FFT correlation and a pyramid, on the last rank.
+    """The search for a coarse field of each camera: rigid FFT correlation and a pyramid.
+
+    The last rank decides; all read the images and correlate what is too much for one.
 
     Attributes
     ----------
@@ -66,25 +71,30 @@ class CoarseSearch:
     regions: list[SeenRegion] | None
     given: GivenStart | None = None
 
-    def prepare(self, frame: Frame | None) -> Callable[[], list[MultilevelStart] | None]:
-        """Bin the images on all ranks; collective.
+    def find(self, frame: Frame | None, before: Callable[[], Own]) -> tuple[Own, list[MultilevelStart] | None]:
+        """Find a coarse field for each camera; collective.
 
-        Returns what this rank has to do next, free of communication: the search itself on the last rank. The frame is
-        None where there is nothing to search for yet.
+        Each rank does work of its own ``before``, free of communication, and gets what it returned. The frame is None
+        where there is nothing to search for yet; then nothing is found.
         """
-        if frame is None:
-            return lambda: None
-        pairs: list[BinnedPair | None] = [None] * len(self.cameras)
-        if self.section.rigid or self.section.pyramid:
-            pairs = [_bin_together(self.team, camera.reference, deformed)
-                     for camera, deformed in zip(self.cameras, frame, strict=True)]
-        return partial(self._search, pairs)
-
-    def share(self, found: list[MultilevelStart] | None) -> list[MultilevelStart] | None:
-        """Give all ranks what the last one found, by camera; None where nothing was sought; collective."""
+        last = self.team.size - 1
+        looks = frame is not None and (self.section.rigid or self.section.pyramid)
+        held = []
+        if frame is not None and looks:
+            held = self.team.together(lambda: [self._hold_band(camera, deformed)
+                                               for camera, deformed in zip(self.cameras, frame, strict=True)])
+        workers = Workers(self.team, last, held)
+        own, found = workers.run(lambda: None if frame is None else self._search(workers), before)
         # Not held by the last rank either where there was nothing to search for.
-        shared: list[MultilevelStart] | None = self.team.broadcast(found, root=self.team.size - 1)
-        return shared
+        return own, self.team.broadcast(found, root=last)
+
+    def _hold_band(self, camera: Camera, deformed: MaskedSource) -> PairOfRank:
+        """Rows of both images, in the smallest blocks that the start looks at."""
+        image = camera.reference.image
+        factor = choose_finest_block(image.width * image.height)
+        edges = np.linspace(0, image.height // factor, self.team.size + 1).astype(int)
+        mine = range(int(edges[self.team.rank]), int(edges[self.team.rank + 1]))
+        return hold_rows(camera.reference, deformed, factor, mine)
 
     def require_result(self) -> EarlierResult:
         """Give the earlier result that is kept; raises TypeError where the search does not start from one."""
@@ -92,16 +102,16 @@ class CoarseSearch:
             raise TypeError("only an earlier result is kept")
         return self.given
 
-    def _search(self, pairs: Sequence[BinnedPair | None]) -> list[MultilevelStart] | None:
-        """The start of each camera's field; without a pair what is given, or rest, without a look at the images."""
-        if self.regions is None:
-            return None
+    def _search(self, workers: Workers[list[PairOfRank]]) -> list[MultilevelStart]:
+        """The start of each camera's field; without images what is given, or rest."""
         found = []
         largest_block = self.section.largest_enriched_block
-        for (mesh, discontinuities), camera, pair in zip(self.regions, self.cameras, pairs, strict=True):
+        for (mesh, discontinuities), camera in zip(require_held(self.regions), self.cameras, strict=True):
             pyramid = None
-            if pair is not None:
-                pyramid = Pyramid(pair, mesh, self.correction, discontinuities, largest_block)
+            if workers.held:
+                images = workers.held[camera.number]
+                pyramid = Pyramid(images.get_pair(images.factor), mesh, self.correction, discontinuities, largest_block,
+                                  Helpers(workers, camera.number))
             if self.given is not None:
                 placed = place_start(self.given, mesh, discontinuities, camera)
                 found.append(self._start_from(self.given, placed, pyramid))
@@ -142,21 +152,6 @@ def _see_region(case: Case, camera: Camera, cells: MeasuredCells) -> SeenRegion:
     if camera.number > 0:
         discontinuities = see_discontinuities(discontinuities, cells.mesh, camera.setup.mapping)
     return cells.seen, discontinuities
-
-
-def _bin_together(team: Team, reference: MaskedSource, deformed: MaskedSource) -> BinnedPair | None:
-    """Both images in the smallest blocks that the start looks at, on the last rank; each rank bins a band of rows."""
-    image = reference.image
-    factor = choose_finest_block(image.width * image.height)
-    edges = np.linspace(0, image.height // factor, team.size + 1).astype(int)
-    mine = range(int(edges[team.rank]), int(edges[team.rank + 1]))
-    sources = (reference, deformed)
-    own = team.together(lambda: [bin_rows(source, factor, mine) for source in sources])
-    bands = team.gather_to(own, team.size - 1)
-    if bands is None:
-        return None
-    binned = [join_blocks(source, [of_rank[k] for of_rank in bands]) for k, source in enumerate(sources)]
-    return BinnedPair(binned[0], binned[1], factor, BinnedPair(reference, deformed, 1))
 
 
 def fit_found_fields(search: CoarseSearch, reference: ReferenceProblem,

@@ -78,7 +78,7 @@ def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: li
     search = by.search
     with by.clock.phase(Phase.START):
         if found is None:
-            found = search.share(team.together(search.prepare(frame)))
+            _, found = search.find(frame, lambda: None)
         q, notes = fit_found_fields(search, reference, require_held(found))
     with by.clock.phase(Phase.READ):
         team.together(lambda: read_frame_windows(hold_set_ups_still(subdomains, views)[1], q))

@@ -17,6 +17,7 @@ from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.regularization import Material, controlled_stiffness, measure_gap_energies
 from ddic.functionals.view import FrameView, View
 from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.images.window import Window
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -115,11 +116,13 @@ class Images:
     reference, deformed : MaskedSource
         The images; their pixels are the unit of length.
     active : (rows, columns) array of uint8
-        1 on the pixels of the reference image that count.
+        1 on the pixels of a part of the reference image that count, 0 on others.
     degree : int
         Of the spline between pixels.
     correction : GreyCorrection
         Of grey levels.
+    origin : (x, y)
+        The first pixel of that part. Pixels outside of it do not count.
     """
 
     reference: MaskedSource
@@ -127,6 +130,15 @@ class Images:
     active: NDArray[np.uint8]
     degree: int
     correction: GreyCorrection
+    origin: tuple[int, int] = (0, 0)
+
+    def find_active(self, window: Window) -> NDArray[np.uint8]:
+        """Tell which pixels of a window count, 1, and which do not, 0."""
+        part = Window.between(self.origin, np.add(self.origin, self.active.shape[::-1]))
+        common = window.intersection(part)
+        found = np.zeros(window.shape, np.uint8)
+        found[window.locate(common)] = self.active[part.locate(common)]
+        return found
 
 
 def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances: Tolerances,
@@ -155,7 +167,7 @@ def _read(images: Images, cells: LevelMesh) -> ResidualModel:
     one_domain = np.zeros(cells.mesh.n_cells, dtype=np.int64)
     (subdomain,) = build_subdomains(cells.kinematics, one_domain, controlled, cells.interior)
     correlation = read_correlation(cells.mesh, images.reference, images.degree)
-    seen = images.active[images.reference.extent.locate(correlation.reference.window)].copy()
+    seen = images.find_active(correlation.reference.window)
     if correlation.reference.usable is not None:
         seen &= correlation.reference.usable
     # Pixels that are not active lie beside the mesh: neighbours' slopes are taken from them as they are.

@@ -20,48 +20,18 @@ from ddic.images.rigid import GridField, RigidShift, build_uniform_field
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.solvers.correction_size import Tolerances
-from ddic.start.binned_pair import CELL, BinnedPair, build_grid, choose_block_sizes, choose_rigid_block, move_mesh
-from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, cut_level, evaluate_at_nodes, move_field
+from ddic.start.binned_pair import (
+    BinnedPair,
+    choose_block_sizes,
+    choose_further_block_sizes,
+    choose_rigid_block,
+    move_mesh,
+)
+from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, move_field
 from ddic.start.feature_matches import MatchedField, find_pieces, match_features
-from ddic.start.independent import Images, correlate_alone
+from ddic.start.level import LARGEST_WHOLE, NO_LINES, Helpers, correlate_in_tiles, correlate_level
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import RigidStart, find_rigid_start, move_on
-
-CUT_OFF = 4.0 * CELL
-"""Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
-poor."""
-
-DEGREE = 3
-"""Of the splines between blocks."""
-
-TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30, largest=np.inf)
-"""Of Gauss-Newton on a level: the RMS of a correction, in blocks, decides."""
-
-
-def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField], correction: GreyCorrection,
-                    discontinuities: Discontinuities) -> CoarseField:
-    """Correlate one level from the best of some starts; displacements, the whole mesh and the lines are in pixels.
-
-    Of ``starts``, at least one, that of least residual is taken; ``discontinuities`` cut the level's grid. Raises
-    ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError where the blocks do not determine the
-    displacement.
-    """
-    region = pair.scale(mesh)
-    active = pair.find_active(region)
-    if not active.any():
-        raise SingularSubdomainError("no block of the region is usable: everything is masked")
-    grid = build_grid(region, active)
-    cells = cut_level(grid.mesh, discontinuities.scale(pair.centre, pair.factor), active, DEGREE)
-    in_pixels = pair.scale_to_pixels(cells.mesh)
-    candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
-    images = Images(pair.reference, pair.deformed, active, DEGREE, correction)
-    where = f"pyramid level with blocks of {pair.factor} px"
-    displacement = correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where)
-    if cells.mesh.parts is None:
-        return grid.make_field(displacement, pair)
-    return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
-
 
 SURE = 0.8
 """Correlation coefficient of a translation from which on nothing else is sought: the region then moves by little else.
@@ -99,8 +69,6 @@ NOTE_OUT_OF_REACH = ("start: neither the given displacement nor a translation is
                      "all levels are taken, from the best of them")
 
 NOTE_OF_FEATURES = "start: features match; the given displacement is not used"
-
-NO_LINES = Discontinuities()
 
 
 @dataclass(frozen=True)
@@ -166,6 +134,8 @@ class Pyramid:
         Lines across which the displacement may be discontinuous, pixels.
     largest_block : float
         Side, pixels, of the largest blocks on which it is [RHR08, section 3.2].
+    helpers : Helpers, optional
+        Ranks that help with all pixels of the images; then levels of many blocks are correlated in tiles.
     """
 
     pair: BinnedPair
@@ -173,26 +143,48 @@ class Pyramid:
     correction: GreyCorrection
     discontinuities: Discontinuities = NO_LINES
     largest_block: float = np.inf
+    helpers: Helpers | None = None
 
     @cached_property
     def sizes(self) -> list[int]:
         """Block sizes of the levels, pixels, coarsest first."""
         return choose_block_sizes(self._n_pixels, self.mesh)
 
+    @cached_property
+    def further_sizes(self) -> list[int]:
+        """Those of finer levels, which one rank could not correlate."""
+        if self.helpers is None or self.discontinuities.lines:
+            return []
+        return choose_further_block_sizes(self.sizes)
+
     @property
     def finest_size(self) -> int:
         """Block size of the finest level, pixels; of the smallest blocks where the region is too small for a level."""
-        return self.sizes[-1] if self.sizes else min(self.pairs)
+        return self.sizes[-1] if self.sizes else self.rigid_size
 
     @cached_property
     def rigid_size(self) -> int:
         """Side of the blocks in which a rigid translation is sought, pixels."""
         return choose_rigid_block(self._n_pixels, self.mesh)
 
+    def read_whole(self, size: int) -> BinnedPair:
+        """Read both images as a whole in blocks of ``size`` pixels, of ``sizes`` or ``rigid_size``; they are kept."""
+        if size not in self._pairs:
+            # At once what is correlated as a whole; smaller blocks only where features, or a given field, ask for them.
+            whole = [self.rigid_size, *(each for each in self.sizes if not self._is_tiled(each))]
+            wanted = whole if size in whole else [size]
+            finest = self.pair if self.helpers is None else self.helpers.read_whole(min(wanted))
+            self._pairs.update(finest.bin_at_sizes(wanted))
+        return self._pairs[size]
+
     @cached_property
-    def pairs(self) -> dict[int, BinnedPair]:
-        """Both images at all block sizes."""
-        return self.pair.bin_at_sizes([*self.sizes, self.rigid_size])
+    def _pairs(self) -> dict[int, BinnedPair]:
+        return {}
+
+    def _is_tiled(self, size: int) -> bool:
+        n_blocks = np.prod(np.ptp(self.mesh.nodes, axis=0)) / size**2
+        has_lines = bool(self.discontinuities.lines) and size <= self.largest_block
+        return self.helpers is not None and not has_lines and n_blocks > LARGEST_WHOLE
 
     @property
     def _n_pixels(self) -> int:
@@ -203,7 +195,7 @@ class Pyramid:
 
         It is at rest, with a warning, where nothing stands out.
         """
-        return find_rigid_start(self.pairs[self.rigid_size], self.mesh, self.discontinuities)
+        return find_rigid_start(self.read_whole(self.rigid_size), self.mesh, self.discontinuities)
 
     def choose_levels_after(self, translation: CoarseField) -> list[int]:
         """Choose the levels that refine a translation, where it explains the whole region on the coarsest of them.
@@ -223,12 +215,12 @@ class Pyramid:
         """A field through features that were found again; None where they do not agree with each other."""
         region = cut_mesh(self.mesh, self.discontinuities.lines).mesh
         pieces = find_pieces(region)
-        matches = match_features(self.pairs[min(self.pairs)], region, pieces)
+        matches = match_features(self.read_whole(min([*self.sizes, self.rigid_size])), region, pieces)
         return MatchedField(matches, region, pieces) if matches.agree else None
 
     def predict(self, size: int, field: CoarseField) -> PredictedError:
         """Predict the error of a field in blocks of ``size`` pixels."""
-        return predict_error(self.pairs[size], self.mesh, field.at)
+        return predict_error(self.read_whole(size), self.mesh, field.at)
 
     def correlate(self, sizes: Sequence[int], starts: Sequence[CoarseField],
                   beside: Sequence[CoarseField]) -> MultilevelStart:
@@ -241,19 +233,31 @@ class Pyramid:
         one tells.
         """
         first, done, warnings = starts[0], [], []
-        for size in sizes:
-            lines = self.discontinuities if size <= self.largest_block else NO_LINES
+        for size in (*sizes, *(self.further_sizes if sizes else ())):
             try:
-                field = correlate_level(self.pairs[size], self.mesh, starts, self.correction, lines)
+                field, of_level = self._correlate_level(size, starts)
             except (ConvergenceError, SingularSubdomainError) as error:
                 warnings.append(f"start: the pyramid's level with blocks of {size} px was left out ({error})")
             else:
                 starts = (field, *beside)
                 done.append(size)
+                warnings += of_level
         found = MultilevelStart(starts[0], levels=tuple(done), warnings=tuple(warnings))
         if isinstance(first, MatchedField):
             return replace(found, n_matches=len(first.matches.points), n_found=first.matches.n_found)
         return found
+
+    def _correlate_level(self, size: int, starts: Sequence[CoarseField]) -> tuple[CoarseField, list[str]]:
+        """The field of one level, and warnings."""
+        if self.helpers is None or not self._is_tiled(size):
+            lines = self.discontinuities if size <= self.largest_block else NO_LINES
+            return correlate_level(self.read_whole(size), self.mesh, starts, self.correction, lines), []
+        level = correlate_in_tiles(self.helpers, size, self.mesh, starts, self.correction)
+        warnings = []
+        if level.errors:
+            warnings.append(f"start: {len(level.errors)} of {level.n_tiles} parts of the pyramid's level with blocks "
+                            f"of {size} px stay as they began ({level.errors[0]})")
+        return level.field, warnings
 
 
 def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
@@ -288,7 +292,7 @@ def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Star
         translation = pyramid.matched.matches.displacement.mean(axis=0)
     seen = pixels.bin_surroundings(pyramid.mesh, translation)
     moved = replace(pyramid, pair=seen.pair, mesh=move_mesh(pyramid.mesh, -seen.origin),
-                    discontinuities=pyramid.discontinuities.scale(seen.origin, 1.0))
+                    discontinuities=pyramid.discontinuities.scale(seen.origin, 1.0), helpers=None)
     try:
         found = find_multilevel_start(moved, stages)
     except ConvergenceError:
@@ -362,7 +366,7 @@ def _list_candidates(given: CutField, pyramid: Pyramid, stages: StartSection) ->
     if not stages.rigid:
         return candidates
     rigid = pyramid.find_rigid()
-    for moved in move_on(given, pyramid.pairs[pyramid.rigid_size]):
+    for moved in move_on(given, pyramid.read_whole(pyramid.rigid_size)):
         by = ", ".join(f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient "
                        f"{found.coefficient:.3f}" for found in moved.translations)
         candidates.append(_Candidate(moved.field, f"start: the given displacement moved on by {by}"))

@@ -98,7 +98,7 @@ def find_separated_start(problem: SeparatedProblem, search: CoarseSearch, frame:
     if begin is not None:
         search = replace(search, given=begin)
     team, rectangle = problem.team, problem.rectangle
-    found = require_held(search.share(team.together(search.prepare(frame))))[0]
+    found = require_held(search.find(frame, lambda: None)[1])[0]
     kept = found.field
     if isinstance(kept, KeptResult):
         return team.on_root(lambda: _convert(search.require_result(), kept, rectangle)), found.describe()

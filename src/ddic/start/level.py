@@ -1,0 +1,330 @@
+"""One level of the pyramid: R-DIC on a square grid over binned images, of the whole region or in tiles.
+
+A tile is correlated with what surrounds it, by one rank alone. The level before has left an error of about a block, so
+that nothing farther off matters, and tiles need not know of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from ddic.arrays import Array
+from ddic.errors import ConvergenceError, SingularSubdomainError
+from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.images.binned import BinnedSource, Blocks, bin_rows, join_blocks
+from ddic.images.rigid import GridField
+from ddic.images.sub_image import MaskedSource
+from ddic.images.window import Window
+from ddic.kinematics.enriched import Discontinuities
+from ddic.mesh.cell_type import Q4
+from ddic.mesh.grid import GridLines
+from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.parallel.workers import Workers
+from ddic.solvers.correction_size import Tolerances
+from ddic.start.binned_pair import CELL, BinnedPair, BlockGrid, build_grid, choose_grid_lines, make_grid_field
+from ddic.start.coarse_displacement import CoarseField, CutField, LevelMesh, cut_level, evaluate_at_nodes
+from ddic.start.independent import Images, correlate_alone
+
+CUT_OFF = 4.0 * CELL
+"""Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
+poor."""
+
+DEGREE = 3
+"""Of the splines between blocks."""
+
+TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30, largest=np.inf)
+"""Of Gauss-Newton on a level: the RMS of a correction, in blocks, decides."""
+
+TILE = 20
+"""Most cells along the side of a tile. A larger one is more work for one rank, a smaller one more in all."""
+
+HALO = 2
+"""Cells around a tile that are correlated with it. More take longer; with fewer its edge shows."""
+
+LARGEST_WHOLE = 1 << 17
+"""Blocks of the region's box from which on a level is correlated in tiles: then one takes some hundredths of a second
+on one rank."""
+
+NO_LINES = Discontinuities()
+
+MeasurementError = ConvergenceError | SingularSubdomainError
+
+
+def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField], correction: GreyCorrection,
+                    discontinuities: Discontinuities) -> CoarseField:
+    """Correlate one level from the best of some starts; displacements, the whole mesh and the lines are in pixels.
+
+    Of ``starts``, at least one, that of least residual is taken; ``discontinuities`` cut the level's grid. Raises
+    ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError where the blocks do not determine the
+    displacement.
+    """
+    region = pair.scale(mesh)
+    lines = choose_grid_lines(region, pair)
+
+    def evaluate(grid: BlockGrid, cells: LevelMesh) -> list[Array]:
+        in_pixels = pair.scale_to_pixels(cells.mesh)
+        return [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
+
+    grid, cells, displacement = _correlate(pair, region, lines, pair.reference.extent, discontinuities, evaluate,
+                                           correction)
+    if cells.mesh.parts is None:
+        return make_grid_field(lines, grid.place_on_grid(displacement), pair)
+    in_pixels = pair.scale_to_pixels(cells.mesh)
+    return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
+
+
+def _correlate(pair: BinnedPair, region: Mesh, lines: GridLines, window: Window, discontinuities: Discontinuities,
+               evaluate: Callable[[BlockGrid, LevelMesh], list[Array]],
+               correction: GreyCorrection) -> tuple[BlockGrid, LevelMesh, Array]:
+    """The cells of a grid that hold blocks of the region, in a window, and the displacement of their nodes, blocks."""
+    active = pair.find_active(region, window)
+    if not active.any():
+        raise SingularSubdomainError("no block of the region is usable: everything is masked")
+    grid = build_grid(lines, active, window)
+    cells = cut_level(grid.mesh, discontinuities.scale(pair.centre, pair.factor), active, DEGREE)
+    images = Images(pair.reference, pair.deformed, active, DEGREE, correction, (window.x0, window.y0))
+    where = f"pyramid level with blocks of {pair.factor} px"
+    displacement = correlate_alone(images, cells, CUT_OFF, TOLERANCES, evaluate(grid, cells), where)
+    return grid, cells, displacement
+
+
+@dataclass(frozen=True, eq=False)
+class PairOfRank:
+    """An image pair as a rank reads it: some rows, in small blocks, are in its memory.
+
+    Attributes
+    ----------
+    reference, deformed : MaskedSource
+        The images, in pixels.
+    factor : int
+        Side of the blocks, pixels.
+    first_row : int
+        The first of the rows.
+    held : tuple of Blocks
+        These rows of both images.
+    """
+
+    reference: MaskedSource
+    deformed: MaskedSource
+    factor: int
+    first_row: int
+    held: tuple[Blocks, Blocks]
+
+    def get_pair(self, size: int) -> BinnedPair:
+        """Give both images in blocks of ``size`` pixels, averaged where they are read."""
+        ratio = size // self.factor
+        reference, deformed = (self._get_pair(source, held, ratio)
+                               for source, held in zip((self.reference, self.deformed), self.held, strict=True))
+        return BinnedPair(reference, deformed, size, BinnedPair(self.reference, self.deformed, 1))
+
+    def _get_pair(self, source: MaskedSource, held: Blocks, ratio: int) -> MaskedSource:
+        grey, mask = (BinnedSource(source, held, self.first_row, self.factor, ratio, shows_mask)
+                      for shows_mask in (False, True))
+        return MaskedSource(grey, mask if source.may_exclude else None, excludes_taps=False)
+
+
+def hold_rows(reference: MaskedSource, deformed: MaskedSource, factor: int, rows: range) -> PairOfRank:
+    """Average some rows of both images over blocks, and keep them."""
+    held = (bin_rows(reference, factor, rows), bin_rows(deformed, factor, rows))
+    return PairOfRank(reference, deformed, factor, rows.start, held)
+
+
+Item = TypeVar("Item")
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, eq=False)
+class Helpers:
+    """Ranks that read and correlate parts of a camera's images for the one that searches, which is one of them.
+
+    Attributes
+    ----------
+    workers : Workers
+        All ranks, each with its images of every camera.
+    camera : int
+        Number of the camera.
+    """
+
+    workers: Workers[list[PairOfRank]]
+    camera: int
+
+    def get_pair(self, size: int) -> BinnedPair:
+        """Give the images in blocks of ``size`` pixels as this rank sees them, averaged where they are read."""
+        return self.workers.held[self.camera].get_pair(size)
+
+    def read_whole(self, size: int) -> BinnedPair:
+        """Read the images as a whole in blocks of ``size`` pixels into memory, each rank some of their rows."""
+        pair = self.get_pair(size)
+        edges = np.linspace(0, pair.size[1], self.workers.team.size + 1).astype(int).tolist()
+        bands = self.apply(_read_rows, [_Rows(size, begin, end) for begin, end in pairwise(edges)])
+        reference, deformed = (join_blocks(source, [of_band[k] for of_band in bands])
+                               for k, source in enumerate((pair.reference, pair.deformed)))
+        return BinnedPair(reference, deformed, size, pair.pixels)
+
+    def apply(self, work: Callable[[PairOfRank, Item], Found], items: Sequence[Item]) -> list[Found]:
+        """Have all ranks apply a function of a module to their images and to items, in turn."""
+        return self.workers.map(partial(_apply_to_camera, self.camera, work), items)
+
+
+def _apply_to_camera(camera: int, work: Callable[[PairOfRank, Item], Found], images: list[PairOfRank],
+                     item: Item) -> Found:
+    return work(images[camera], item)
+
+
+class _Rows(NamedTuple):
+    """Some rows of blocks."""
+
+    size: int
+    begin: int
+    end: int
+
+
+def _read_rows(images: PairOfRank, rows: _Rows) -> tuple[Blocks, Blocks]:
+    pair = images.get_pair(rows.size)
+    reference, deformed = (_read_blocks(source, source.extent.take_rows(rows.begin, rows.end))
+                           for source in (pair.reference, pair.deformed))
+    return reference, deformed
+
+
+def _read_blocks(source: MaskedSource, window: Window) -> Blocks:
+    mask = source.mask.read(window) if source.mask is not None else None
+    # No mask where nothing is left out, as in an image that one rank bins.
+    return Blocks(source.image.read(window), mask if mask is not None and not mask.all() else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """A part of a level's grid.
+
+    Attributes
+    ----------
+    size : int
+        Side of a block, pixels.
+    lines : GridLines
+        Of its cells and those around it, blocks.
+    own : tuple of slice
+        Rows and columns of those nodes that are its own.
+    on_level : tuple of slice
+        Where these are on the level's grid.
+    region : Mesh
+        Cells of the region, blocks, that it may show.
+    starts : list of (rows, columns, 2) array
+        Displacements of all its nodes to start from, blocks; at least one.
+    correction : GreyCorrection
+        Of grey levels.
+    """
+
+    size: int
+    lines: GridLines
+    own: tuple[slice, slice]
+    on_level: tuple[slice, slice]
+    region: Mesh
+    starts: list[Array]
+    correction: GreyCorrection
+
+    @property
+    def window(self) -> Window:
+        """Blocks whose centres it may hold."""
+        low, high = ([line[k] for line in (self.lines.x, self.lines.y)] for k in (0, -1))
+        return Window.between(np.ceil(low), np.floor(high) + 1)
+
+
+def correlate_tile(images: PairOfRank, tile: Tile) -> Array | MeasurementError:
+    """Correlate a tile, from the best of its starts; displacements of its own nodes, (rows, columns, 2), blocks.
+
+    Nodes without a cell are nan. What keeps it from being correlated is returned.
+    """
+    pair = images.get_pair(tile.size)
+    window = tile.window.intersection(pair.reference.extent)
+
+    def select(grid: BlockGrid, cells: LevelMesh) -> list[Array]:
+        return [start.reshape(-1, 2)[grid.numbers].ravel() for start in tile.starts]
+
+    try:
+        grid, _, displacement = _correlate(pair, tile.region, tile.lines, window, NO_LINES, select, tile.correction)
+    except (ConvergenceError, SingularSubdomainError) as error:
+        return error
+    return grid.place_on_grid(displacement)[tile.own]
+
+
+@dataclass(frozen=True, eq=False)
+class TiledLevel:
+    """What tiles found.
+
+    Attributes
+    ----------
+    field : GridField
+        Pixels.
+    n_tiles : int
+        How many there are.
+    errors : list of Exception
+        What kept some of them at their first start.
+    """
+
+    field: GridField
+    n_tiles: int
+    errors: list[MeasurementError]
+
+
+def correlate_in_tiles(helpers: Helpers, size: int, mesh: Mesh, starts: Sequence[CoarseField],
+                       correction: GreyCorrection) -> TiledLevel:
+    """Correlate a level without discontinuities as ``correlate_level`` does, in tiles, each from its best start.
+
+    Raises the error of the first tile where none can be correlated.
+    """
+    pair = helpers.get_pair(size)
+    region = pair.scale(mesh)
+    lines = choose_grid_lines(region, pair)
+    nodes = pair.scale_to_pixels(build_mesh(lines.nodes, {Q4: lines.quads}))
+    shape = (len(lines.y), len(lines.x), 2)
+    on_grid = [evaluate_at_nodes(start, nodes).reshape(shape) / pair.factor for start in starts]
+    tiles = list(_cut_tiles(size, region, lines, on_grid, correction))
+    values, errors = np.full(shape, np.nan), []
+    for tile, found in zip(tiles, helpers.apply(correlate_tile, tiles), strict=True):
+        if isinstance(found, Exception):
+            errors.append(found)
+            values[tile.on_level] = on_grid[0][tile.on_level]
+        else:
+            values[tile.on_level] = found
+    if len(errors) == len(tiles):
+        raise errors[0]
+    return TiledLevel(make_grid_field(lines, values, pair), len(tiles), errors)
+
+
+def _cut_tiles(size: int, region: Mesh, lines: GridLines, starts: Sequence[Array],
+               correction: GreyCorrection) -> Iterator[Tile]:
+    """Tiles, row by row, where there are cells of the region; ``starts``, blocks, are of all nodes of the grid."""
+    lowest, highest = region.outlines.find_boxes()
+    for rows in _split_line(lines.y):
+        for columns in _split_line(lines.x):
+            part = GridLines(lines.x[columns.wide], lines.y[rows.wide])
+            low, high = ([line[k] for line in (part.x, part.y)] for k in (0, -1))
+            cells = np.flatnonzero(((lowest <= high) & (highest >= low)).all(axis=1))
+            if len(cells):
+                yield Tile(size, part, (rows.own, columns.own), (rows.on_level, columns.on_level),
+                           region.create_submesh(cells)[0], [start[rows.wide, columns.wide] for start in starts],
+                           correction)
+
+
+class _Stretch(NamedTuple):
+    """Nodes of a line: with those around, in them those of a tile's own, and these on the whole line."""
+
+    wide: slice
+    own: slice
+    on_level: slice
+
+
+def _split_line(line: Array) -> Iterator[_Stretch]:
+    """Stretches of a line of nodes, about as long, each with a halo; a node between two is of the second."""
+    n_cells = len(line) - 1
+    for cells in np.array_split(np.arange(n_cells), -(-n_cells // TILE)):
+        begin, end = int(cells[0]), int(cells[-1]) + 1
+        first, last = max(begin - HALO, 0), min(end + HALO, n_cells)
+        stop = end if end < n_cells else end + 1
+        yield _Stretch(slice(first, last + 1), slice(begin - first, stop - first), slice(begin, stop))
