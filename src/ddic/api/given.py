@@ -1,7 +1,4 @@
-"""What Python programs give in place of files: settings, images, a mesh, a displacement to start from.
-
-Settings are as a case file has them; with them come kinematics of one's own, and the ranks.
-"""
+"""What Python programs give in place of files: settings as in a case file, kinematics, ranks, images, mesh, start."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Calibration of a near camera from one picture of each camera: where the near image lies in the far one.
-
-Where a picture taken at another magnification lies in an image: search by normalised cross-correlation.
-"""
+"""Calibration of a near camera by one picture of each: a search by normalised cross-correlation, then registration."""
 
 from __future__ import annotations
 
@@ -69,9 +66,7 @@ class Match:
         Similarity from far to near px.
     coefficient : float
         Correlation coefficient of the tile, -1 where nothing could be compared.
-    centre : (float, float)
-        Of the tile, near px.
-    side : float
+    centre, side : (float, float) and float
         Of the tile, near px.
     """
 

@@ -1,7 +1,4 @@
-"""Registration of an image in one taken at a lower magnification, by Gauss-Newton on the camera mapping.
-
-First the families of mappings, of few parameters, that it seeks one of; then the registration.
-"""
+"""Registration of an image in one of lower magnification: Gauss-Newton on the few parameters of a camera mapping."""
 
 from __future__ import annotations
 
@@ -41,9 +38,7 @@ class CameraModel:
         Specimen point about which parameters are written, specimen px.
     length : float
         Specimen px in which distances from it are measured.
-    centre : (2,) array
-        Of the radial distortion, image px.
-    radius : float
+    centre, radius : (2,) array and float
         Of the radial distortion, image px.
     distorts : bool
         Whether k1 is a parameter, the last one.

@@ -1,7 +1,4 @@
-"""Case files: read, checked against the schema, paths made absolute.
-
-What is wrong with a case file, in plain words; keys that are right, but change nothing beside what else it says.
-"""
+"""Case files: read, checked against the schema, paths made absolute; what is wrong or has no effect, in plain words."""
 
 from __future__ import annotations
 
@@ -171,10 +168,7 @@ class KeptMesh:
     _built: tuple[Mesh, Tying | None] | None = None
 
     def keep(self, case: Case, mesh: Mesh, tying: Tying | None) -> None:
-        """Keep the mesh of a case, pixels, in place of any other.
-
-        ``tying`` says how near fields' own meshes are tied in it; None where there are none.
-        """
+        """Keep the mesh of a case, pixels, and how near fields' own meshes are tied in it, in place of any other."""
         self._case, self._built = case, (mesh, tying)
 
     def take(self, case: Case) -> tuple[Mesh, Tying | None] | None:
@@ -334,10 +328,7 @@ def parse_case_text(text: str, path: Path) -> Case:
 
 
 def convert_to_case(data: Mapping[str, Any], source: str) -> Case:
-    """Validate what a case says, its shorthand written out.
-
-    ``source`` is named before each line of the InputError that says what is wrong.
-    """
+    """Validate what a case says, its shorthand written out; InputError has a line for each fault, after ``source``."""
     try:
         return _validate(data)
     except ValidationError as error:
@@ -350,10 +341,7 @@ def _validate(data: Mapping[str, Any]) -> Case:
 
 
 def convert_shorthand(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Write out what a case, not validated, may say in a word.
-
-    There is a section without vertices for ``discontinuity = "detect"``.
-    """
+    """Write out the shorthand of a case, not validated: a section without vertices for ``discontinuity = "detect"``."""
     return {**data, "discontinuity": [{}]} if data.get("discontinuity") == DETECT else dict(data)
 
 

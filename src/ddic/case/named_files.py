@@ -46,10 +46,7 @@ def _takes_path(annotation: Any) -> bool:
 
 
 def is_series(case: Case) -> bool:
-    """Tell whether a case, as ``find_frames`` gives it, names several deformed images, be it a list of one.
-
-    They are measured one after the other.
-    """
+    """Tell whether a case from ``find_frames`` names several deformed images, measured in turn, be it a list of one."""
     return isinstance(case.images.deformed, tuple)
 
 
@@ -59,10 +56,7 @@ def list_cameras(case: Case) -> list[ImagesSection | NearSection]:
 
 
 def list_deformed(section: ImagesSection | NearSection) -> tuple[Path, ...]:
-    """List the deformed images of a camera of a case from ``find_frames``, in the order of measuring.
-
-    There is one where the case is no series.
-    """
+    """List the deformed images of a camera of a case from ``find_frames``, as they are measured: one if no series."""
     return section.deformed if isinstance(section.deformed, tuple) else (section.deformed,)
 
 

@@ -1,7 +1,4 @@
-"""Outputs that replace nothing but earlier outputs of the same kind: never an input, by whatever name or link.
-
-Those of commands, and the result of a case with what stands beside it.
-"""
+"""Outputs that replace nothing but earlier outputs of the same kind: never an input, by whatever name or link."""
 
 import errno
 import mmap

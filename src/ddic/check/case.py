@@ -1,8 +1,4 @@
-"""All inputs of a case validated without solving, in one order, near-field images too, and for the ranks at hand.
-
-What is wrong with images is found in ``check/images.py``; here stand keys, points, the mesh with what refers to it, and
-ranks; and what inputs are that were found fit.
-"""
+"""All that a case names, validated without solving and for the ranks at hand; images in ``check/images.py``."""
 
 import warnings
 from collections.abc import Sequence
@@ -263,10 +259,7 @@ def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
 
 
 def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> IntArray:
-    """Check what refers to the mesh; ``problems`` takes what is found.
-
-    The nodes that are not controlled, (n,), are returned.
-    """
+    """Check what refers to the mesh, adding to ``problems``, and return the nodes that are not controlled, (n,)."""
     case = loaded.case
     mesh = checked.mesh
     with problems.gathered():
@@ -383,10 +376,7 @@ def _check_wavelength(wavelength: float | None, cell_size: float, n_inner_nodes:
 
 
 def count_most_ranks(case: Case, mesh: Mesh) -> int:
-    """Count the subdomains that a case, found fit, can have at most, of which every rank needs one.
-
-    There is one for a cell where the case leaves their number open.
-    """
+    """Count the subdomains, one a rank, that a case found fit can have at most: one a cell where it leaves it open."""
     solver = case.solver
     if solver.method == "monolithic":
         return 1
@@ -415,10 +405,7 @@ def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
 
 
 def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
-    """Refuse more ranks than a case has subdomains, and solvers that PETSc has not on so many.
-
-    Raises InputError where a rank would have no subdomain, or PETSc lacks what the solver needs.
-    """
+    """Refuse, by an InputError, more ranks than a case has subdomains, and solvers that PETSc lacks on so many."""
     solver = loaded.case.solver
     require_packages(str(loaded.path), solver.method, solver.local_inverse, n_ranks)
     if solver.method == "monolithic":

@@ -1,8 +1,4 @@
-"""The command line: ``ddic`` and its commands, each imported when it is called.
-
-Of numbers, nan and infinity are none that an option takes. Words that a command does not take are told in a line.
-``--frame`` says which frame of a series a command takes.
-"""
+"""The command line: ``ddic`` and its commands, each imported when it is called; no option takes nan or infinity."""
 
 import importlib
 import math
@@ -19,10 +15,7 @@ from ddic.errors import InputError
 
 
 def require_finite_options(command: click.Command) -> None:
-    """Have a command refuse options that are not finite.
-
-    Its options without a callback get one; so do those of its own commands.
-    """
+    """Have a command, and commands of its own, refuse options that are not finite: those without a callback get one."""
     for parameter in command.params:
         if parameter.callback is None:
             parameter.callback = _check

@@ -226,10 +226,7 @@ class _PhaseLines:
 
 
 def is_on_terminal() -> bool:
-    """Tell whether a person watches: whether the output is a terminal's.
-
-    Under mpirun, which gives ranks a terminal of its own, mpirun's output counts.
-    """
+    """Tell whether the output is a terminal's; under mpirun, which gives ranks one of its own, whether mpirun's is."""
     if not sys.stdout.isatty():
         return False
     launched = any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"))

@@ -44,10 +44,7 @@ def _open_closed_streams() -> None:
 
 
 def require_surroundings() -> None:
-    """Refuse a system in which libraries would fail in ways of their own; call it before numpy is imported.
-
-    The DdicError says what is needed.
-    """
+    """Refuse a system in which libraries would fail in ways of their own: DdicError; call it before importing numpy."""
     _require_address_space()
     try:
         # At nanoseconds beyond 2262 Python's own modules fail when they are imported.

@@ -1,7 +1,4 @@
-"""``ddic info``: what a result file or an image holds; of a series what all frames come to, and a table of them.
-
-``ddic report``: one page on a measurement, to hand on.
-"""
+"""``ddic info``: what a result file, a series or an image holds; ``ddic report``: one page on a measurement."""
 
 from __future__ import annotations
 
@@ -174,10 +171,7 @@ TEXTS = ("image", "started from")
 
 
 def _list_frame_rows(series: SeriesResult) -> list[str]:
-    """List the frames of a series as lines of a table: a head, and a line each.
-
-    Where a frame was not measured, the reason stands in place of its numbers.
-    """
+    """List the frames of a series as lines of a table, below a head; where one was not measured, its line says why."""
     rows = [_list_cells(record) for record in series.records]
     widths = [max(len(head), *(len(row[k]) for row in rows if k < len(row) - 1 or len(row) == len(COLUMNS)))
               for k, head in enumerate(COLUMNS)]

@@ -1,7 +1,4 @@
-"""``ddic sweep``: a cut-off wavelength and an element size, chosen by trying them out.
-
-``ddic uncertainty``: errors of known displacements of one's own reference image.
-"""
+"""``ddic sweep``: cut-off wavelength, element size by trials; ``ddic uncertainty``: errors of known displacements."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""``ddic synth``: image pairs whose displacement is known exactly, and what its commands share.
-
-``ddic synth near-far``: two image pairs of one specimen at different magnifications.
-"""
+"""``ddic synth``: image pairs whose displacement is known exactly, also two pairs at different magnifications."""
 
 from __future__ import annotations
 
@@ -39,10 +36,7 @@ class ImageOptions(TypedDict):
 
 
 def parse_size(_context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
-    """Turn "640x480" into (640, 480), pixels; None stays None.
-
-    Raises BadParameter where it is no such text.
-    """
+    """Turn "640x480" into (640, 480), pixels, and None into None; raises BadParameter where it is no such text."""
     from ddic.io.image_formats import MOST_PIXELS_ALONG
 
     if text is None:
@@ -57,10 +51,7 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
 
 
 def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
-    """Make a decorator that adds the options of ImageOptions.
-
-    ``size`` is the default of --size, ``files`` what --output will hold.
-    """
+    """Make a decorator that adds ImageOptions, ``size`` the default of --size, ``files`` what --output will hold."""
     options = (
         click.option("--size", callback=parse_size, default=size, metavar="WIDTHxHEIGHT", help="Size, pixels."),
         click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8",

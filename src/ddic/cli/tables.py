@@ -1,8 +1,4 @@
-"""Numbers and tables that are read from results, each by a command of its own.
-
-``ddic probe``: what virtual gauges read. ``ddic export``: whole fields. ``ddic opening``: how far the sides of
-discontinuities have moved apart. ``ddic crack``: the tip of a crack and its stress intensity factors.
-"""
+"""``ddic probe``, ``export``, ``opening`` and ``crack``: numbers and tables that are read from results."""
 
 from __future__ import annotations
 

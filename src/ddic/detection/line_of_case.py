@@ -67,10 +67,7 @@ class StrainBand:
 
 
 def compute_tresca_strain(strain: Array) -> Array:
-    """Compute the equivalent strain |e1 - e2| / 2 of plane tensors exx, eyy, exy, (n, 3).
-
-    That is half of the difference of the principal strains, (n,).
-    """
+    """Compute |e1 - e2| / 2, half the difference of the principal strains, (n,), of tensors exx, eyy, exy, (n, 3)."""
     exx, eyy, exy = strain.T
     return np.asarray(np.hypot((exx - eyy) / 2, exy))
 

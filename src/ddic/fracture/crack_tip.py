@@ -1,7 +1,4 @@
-"""The tip of a crack and its stress intensity factors, from a measured field and Williams' series.
-
-Williams' series of displacements about the tip of a straight crack whose faces are free.
-"""
+"""The tip of a straight crack with free faces, and its stress intensity factors: Williams' series fitted to a field."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""How far the sides of a discontinuity have moved apart, along it.
-
-The discontinuities that a result was measured with.
-"""
+"""How far the sides of the discontinuities that a result was measured with have moved apart, along them."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -18,18 +15,12 @@ from ddic.mesh.mesh import Mesh
 
 
 def get_lines(result: Result) -> list[Array]:
-    """Get the vertices, (n_vertices, 2), pixels, of each discontinuity that a result was measured with.
-
-    Lines that were found are given as they were found.
-    """
+    """Get the vertices, (n_vertices, 2), pixels, of each line that a result was measured with, as given or as found."""
     return [np.array(section["vertices"]) for section in get_case(result.attributes).get("discontinuity", ())]
 
 
 def get_line(result: Result, number: int) -> Array:
-    """Get the vertices, pixels, of one of the discontinuities that a result was measured with, numbered from 1.
-
-    Raises InputError where there is no such line.
-    """
+    """Get the vertices, pixels, of a result's discontinuity, numbered from 1; raises InputError where there is none."""
     lines = get_lines(result)
     if not lines:
         raise InputError(f"{result.path}: was measured without discontinuities; give some in the case (where one was "

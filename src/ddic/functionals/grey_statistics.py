@@ -1,7 +1,4 @@
-"""Statistics of grey levels f and g(x + u): residual, gain and offset, from six sums over pixels.
-
-Medians and other quantiles of values that count more or less.
-"""
+"""Residual, gain and offset of grey levels f and g(x + u), from six sums over pixels; quantiles of weighted values."""
 
 from dataclasses import dataclass
 from typing import Literal

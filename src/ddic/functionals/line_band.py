@@ -1,7 +1,4 @@
-"""Pixels near a discontinuity: there the deformed image jumps, and its spline rings.
-
-How firmly the pixels of cells hold their nodes beside a discontinuity: what M's diagonal is without texture.
-"""
+"""Pixels near a discontinuity, where g jumps and its spline rings, and how firmly the others hold nodes beside it."""
 
 from collections.abc import Sequence
 

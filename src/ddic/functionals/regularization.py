@@ -1,8 +1,6 @@
 """Equilibrium gap: Kbar = P K and its weight eta from a cut-off wavelength [LPHR11].
 
-Linear elastic stiffness K with Young's modulus 1, unit thickness, lengths in pixels.
-
-What a cut-off wavelength means: which waves keep half of their amplitude.
+K is the linear elastic stiffness with Young's modulus 1, unit thickness, lengths in pixels.
 """
 
 from dataclasses import dataclass, replace

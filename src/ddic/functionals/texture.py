@@ -1,7 +1,4 @@
-"""Whether a subdomain holds texture, or no more than image noise would give.
-
-How rough a field is: the forces that it leaves out of equilibrium.
-"""
+"""Whether a subdomain holds texture or no more than noise would give, and how far a field is out of equilibrium."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

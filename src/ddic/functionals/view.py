@@ -1,7 +1,4 @@
-"""What one camera says about a subdomain: M and b, Eq. 7 of [BP17], in the subdomain's unknowns.
-
-How steep the reference image is in each cell.
-"""
+"""What one camera says about a subdomain: M and b, Eq. 7 of [BP17], in its unknowns; slopes of f in each cell."""
 
 from __future__ import annotations
 
@@ -51,10 +48,7 @@ class CellSlopes:
 
 
 def measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: IntArray) -> CellSlopes:
-    """Measure the mean of grad f grad f^T over the pixels of each cell that count.
-
-    ``reference`` is on a window that holds them; ``n_pixels``, (n_cells,), says how many count.
-    """
+    """Measure the mean of grad f grad f^T over the pixels of each cell that count, ``n_pixels`` of them, (n_cells,)."""
     # A kernel takes one type: an image without pixels stands for one that excludes none.
     usable = np.ones((0, 0), np.uint8) if reference.usable is None else reference.usable
     sums = np.zeros((len(n_pixels), 3))

@@ -1,7 +1,4 @@
-"""Coarse-grained images: means over square blocks of pixels.
-
-An image as sharp, or as little sharp, as another: what a camera sees that moves, or is out of focus.
-"""
+"""Images averaged over square blocks of pixels, and images blurred as by motion or a camera out of focus."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,10 +46,7 @@ class ArraySource(SizedImage):
         return Window.of_size(*self.values.shape[::-1])
 
     def read(self, window: Window) -> NDArray[Any]:
-        """Look into a window; its grey levels cannot be written to.
-
-        Raises ValueError where the window leaves the image or is empty.
-        """
+        """Look into a window, which cannot be written to; raises ValueError where it leaves the image or is empty."""
         part = self.values[self.extent.locate_inside(window)]
         part.flags.writeable = False
         return part

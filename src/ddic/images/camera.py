@@ -60,10 +60,7 @@ class CameraMapping:
         return bool(self.radial.any())
 
     def to_image(self, points: Array) -> Array:
-        """Map points, (n, 2), from the specimen's frame to the image, both pixels.
-
-        Raises ValueError where a point lies beyond the horizon of the homography.
-        """
+        """Map specimen points, (n, 2), to the image, both pixels; raises ValueError beyond the homography's horizon."""
         x = _project(self.homography, points)[0]
         if not self.distorts:
             return x

@@ -1,7 +1,4 @@
-"""Noise of two images of one scene at rest.
-
-What interpolation by a spline leaves of the noise of pixels, and how it makes neighbours' noise go together.
-"""
+"""Noise of two images of one scene at rest, and how interpolation by a spline weakens and correlates it."""
 
 from functools import cache
 from math import comb, factorial

@@ -1,7 +1,4 @@
-"""Rigid-body translation between two images by masked normalised cross-correlation (FFT).
-
-A displacement field on a regular grid.
-"""
+"""Rigid translation between two images by masked normalised cross-correlation (FFT); displacement on a regular grid."""
 
 from __future__ import annotations
 

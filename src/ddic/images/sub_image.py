@@ -71,10 +71,7 @@ class MaskedSource:
 
 
 def read_reference(source: MaskedSource, window: Window, degree: int, threads: Threads = ONE_THREAD) -> GradientImage:
-    """Read grey levels and gradient of a window of the reference image, clipped to it.
-
-    The window is made larger where it is too small for a spline.
-    """
+    """Read grey levels and gradient of a window, clipped to the reference image, larger if too small for a spline."""
     window = _sizeable(window, source.extent)
     return read_gradient(source.image, window, degree, source.find_usable, threads,
                          excludes_taps=source.excludes_taps)

@@ -33,10 +33,7 @@ class Threads:
         self._pool = ThreadPoolExecutor(n, thread_name_prefix="ddic-pixels") if n > 1 else None
 
     def share(self, items: Iterable[T], work: Callable[[Iterator[T]], None]) -> None:
-        """Call a function on every thread, with an iterator that gives each item to one of them, and wait for all.
-
-        What it raises is raised once no thread works any more.
-        """
+        """Call a function on every thread, each item going to one of them, wait for all, and raise what one raised."""
         if self._pool is None:
             work(iter(items))
             return

@@ -20,10 +20,8 @@ class Window:
 
     Attributes
     ----------
-    lower : tuple of int
-        First pixel along each axis.
-    upper : tuple of int
-        The pixel after the last along each axis.
+    lower, upper : tuple of int
+        First pixel along each axis, and the one after the last.
     """
 
     lower: tuple[int, ...]

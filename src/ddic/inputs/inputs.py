@@ -1,8 +1,4 @@
-"""What a measurement is made from: cameras with reference images, a mesh, a case's settings; points to start from.
-
-A series opens its deformed images one frame at a time; a frame that was measured may take the reference image's place,
-on the mesh that has moved.
-"""
+"""What a measurement is made from: cameras with reference images, a mesh, a case's settings; points to start from."""
 
 from __future__ import annotations
 
@@ -150,10 +146,7 @@ class FrameOpener:
         return len(list_deformed(self.inputs.case.images))
 
     def open(self, number: int) -> Frame:
-        """Open the images of a frame, one of each camera; collective.
-
-        Raises InputError on all ranks, where one cannot be read.
-        """
+        """Open a frame's images, one a camera; collective, raises InputError on all ranks where one cannot be read."""
         if number == self.first_number:
             return self.first
         return open_frame(self.inputs.case, open_on_all_ranks(self.team), number - 1)

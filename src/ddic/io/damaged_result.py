@@ -1,7 +1,4 @@
-"""What tells that a result file that can be read is damaged: what it holds is not of one piece.
-
-Tables, products and attributes are damaged where they are not what they are read as.
-"""
+"""What tells that a result file that can be read is damaged: it does not fit together, or holds something else."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

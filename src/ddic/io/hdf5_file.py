@@ -24,10 +24,7 @@ MOST_DEFLATED = 1100
 
 
 def describe_damage(error: BaseException) -> str:
-    """Say in a line what could not be read: the first line of an error's message, or its kind where it has none.
-
-    ``error`` is one of READ_ERRORS.
-    """
+    """Say in a line what could not be read: the first line of the message of one of READ_ERRORS, else its kind."""
     message = str(error.args[0] if isinstance(error, KeyError) and error.args else error).strip()
     return message.splitlines()[0] if message else type(error).__name__
 

@@ -130,10 +130,7 @@ def is_tiff(path: Path) -> bool:
 
 
 def read_tiff_format(path: Path) -> PixelFormat:
-    """Read size and type of a TIFF file's first page from the header alone.
-
-    Raises InputError if it is no image that can be used.
-    """
+    """Read size and type of a TIFF file's first page from the header alone; raises InputError if it cannot be used."""
     with _opened(path) as (tiff, page):
         n_pages = len(tiff.pages)
         _check_page(path, page)
@@ -333,10 +330,7 @@ _LOCK = Lock()
 
 @contextmanager
 def caught_messages() -> Iterator[list[str]]:
-    """Catch the lines that are written to standard error inside.
-
-    The list is empty at first and filled with the lines, without blank ones, on the way out.
-    """
+    """Catch lines that are written to standard error inside; the list has them, blank ones left out, on the way out."""
     lines: list[str] = []
     with _LOCK, _open_scratch() as caught:
         sys.stderr.flush()

@@ -1,7 +1,4 @@
-"""Files that are about to be read: whether they are there, and whether they are still those looked at before.
-
-Also the source tree that ddic runs from.
-"""
+"""Files to be read: whether they are there, and still those looked at before; the source tree that ddic runs from."""
 
 from __future__ import annotations
 
@@ -52,18 +49,12 @@ def find_real_path(path: Path) -> Path:
 
 
 def is_endless_file(path: Path) -> bool:
-    """Tell whether a path leads to a pipe, a socket or a device, which may never end or never begin.
-
-    False too where nothing is there.
-    """
+    """Tell whether a path leads to a pipe, socket or device, which may never end or begin; False where nothing is."""
     return os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path))
 
 
 def is_readable_file(path: Path) -> bool:
-    """Tell whether a path leads to a regular file.
-
-    False too where the way there is closed, goes round in circles, or is too long for the file system.
-    """
+    """Tell whether a path leads to a regular file; False where the way is closed, goes in circles, or is too long."""
     return os.path.isfile(path)
 
 

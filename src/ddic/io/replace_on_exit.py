@@ -1,7 +1,4 @@
-"""Files that appear under their name only when they are complete, several of them together.
-
-Folders that are made for files go again where none comes of them. One run at a time writes a result.
-"""
+"""Files that take their names together, once they are complete; one run at a time writes a result."""
 
 import fcntl
 import os

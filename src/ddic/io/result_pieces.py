@@ -73,10 +73,7 @@ def add_counts(counts: Sequence[PieceCounts]) -> PieceCounts:
 
 
 def join_pieces(pieces: Sequence[Piece]) -> Piece:
-    """Join pieces, at least one, one after the other, as the file holds them.
-
-    In what comes back every piece still numbers its own points from 0.
-    """
+    """Join pieces, at least one, as the file holds them: one after the other, each numbering its own points from 0."""
     if len(pieces) == 1:
         return pieces[0]
 

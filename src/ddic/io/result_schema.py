@@ -104,10 +104,7 @@ class FieldSpec:
 
 
 def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
-    """List the fields at the nodes, in the order of the file.
-
-    ``length_unit`` is that of the pixel size, None if it is not known.
-    """
+    """List the fields at the nodes, in the order of the file; ``length_unit`` is the pixel size's, None if unknown."""
     fields = (
         FieldSpec(DISPLACEMENT, VECTOR, np.float64, "px", "displacement in pixels, mean of interface copies"),
         FieldSpec(DISPLACEMENT_MESH_UNITS, VECTOR, np.float64, "mesh unit",
@@ -158,10 +155,7 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
 
 
 def uncertainty_point_fields(*, regularized: bool) -> tuple[FieldSpec, ...]:
-    """List what is known of the errors at the nodes, where the case asks for it, in the order of the file.
-
-    ``regularized`` tells whether there is a bias of regularization.
-    """
+    """List what a case may ask of errors at nodes, with the bias if ``regularized``, in the order of the file."""
     of_noise = "standard deviation that the images' noise leaves in"
     fields = (
         *(FieldSpec(name, 1, np.float64, "px", f"{of_noise} the displacement along {axis}")
@@ -219,10 +213,7 @@ def near_group(camera: int) -> str:
 
 
 def residual_group(camera: int) -> str:
-    """Name the group of a camera's residual image: ``residual_image``, ``residual_image_near_1``, ...
-
-    ``camera`` is 0 for the far camera, or the only one; then the near ones.
-    """
+    """Name the group of a camera's residual image: ``residual_image`` of camera 0, ``residual_image_near_1`` of 1."""
     return RESIDUAL_IMAGE if camera == 0 else f"{RESIDUAL_IMAGE}_near_{camera}"
 
 

@@ -1,8 +1,6 @@
 """Writes the result file piece by piece, in the VTKHDF layout (UnstructuredGrid, one piece per subdomain).
 
-And what stands beside it: the summary, and small VTKHDF files. One shows the result in its length unit: points, and
-displacements that match them. ImageData files show the residual images kept in the result file. A result and what
-stands beside it are moved or removed together.
+The summary and small VTKHDF files stand beside it, and are moved or removed with it.
 """
 
 import json
@@ -186,10 +184,7 @@ class ResultWriter:
         self._file.require_group(group).attrs.update(values)
 
     def write_status(self, failure: str) -> None:
-        """Write whether the field converged, as attributes of the file.
-
-        ``failure`` says why it is no result; it is empty where it converged.
-        """
+        """Write, as attributes of the file, whether the field converged: ``failure`` is empty, or why it did not."""
         self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
         self._file.attrs[schema.FAILURE] = failure
 

@@ -1,9 +1,4 @@
-"""Reads the result file of a series: its frames one by one, each as the result of a pair.
-
-Displacements of all frames are read straight from its file. What the frames come to over time is gathered:
-displacements, strains, residuals, iterations. Where a file may hold the results of a series, one is read: a frame by
-its number.
-"""
+"""Reads the result file of a series: its frames one by one, each as the result of a pair, and numbers over time."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping

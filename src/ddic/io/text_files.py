@@ -1,7 +1,4 @@
-"""Text files: TOML, JSON, displacements at points from CSV, and partitions.
-
-Of TOML files come the text, and values that can be used. JSON knows neither arrays nor numbers that are not finite.
-"""
+"""Text files: TOML, JSON, displacements at points from CSV, and partitions."""
 
 import csv
 import json

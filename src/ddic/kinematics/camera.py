@@ -1,7 +1,4 @@
-"""How a camera sees unknowns that live in the specimen's frame, and the motion of its set-up between two pictures.
-
-Discontinuities as a camera sees them: near the cells that it measures, since elsewhere its mapping may not hold.
-"""
+"""How a camera sees unknowns and discontinuities of the specimen's frame, and its set-up's motion between pictures."""
 
 from __future__ import annotations
 
@@ -43,7 +40,7 @@ def see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts
 def see_discontinuities(discontinuities: Discontinuities, mesh: Mesh, mapping: CameraMapping) -> Discontinuities:
     """Map those pieces of lines that a camera sees from the specimen's frame into its pixels.
 
-    ``mesh`` are the cells that the camera measures, specimen's frame.
+    ``mesh`` are the cells that the camera measures, specimen's frame: elsewhere its mapping may not hold.
     """
     lines: list[Array] = []
     openings: list[Opening] = []
@@ -226,10 +223,7 @@ def place_before_camera(field: Kinematics, setup: CameraSetup,
 
 
 def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
-    """Map a mesh from the specimen's frame into the camera's pixels.
-
-    Edges stay straight, which a perspective keeps and distortion bends little.
-    """
+    """Map a mesh from the specimen's frame into the camera's pixels, edges straight, which distortion bends little."""
     parts = None if mesh.parts is None else see_parts(mesh.parts, mesh, setup.mapping)
     return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types, parts=parts)
 

@@ -81,10 +81,7 @@ class CellInterpolation:
 
 
 def number_cell_dofs(mesh: Mesh) -> IntArray:
-    """Give the displacement components of the nodes of every cell, (n_cells, 4 dim), node-major.
-
-    A cell of fewer nodes repeats its first node's.
-    """
+    """Give the dofs of each cell's nodes, (n_cells, 4 dim), node-major; a cell of fewer nodes repeats its first's."""
     return (pad_cells(mesh)[:, :, None] * mesh.dim + np.arange(mesh.dim)).reshape(mesh.n_cells, -1)
 
 

@@ -1,7 +1,4 @@
-"""Kinematics with discontinuities: a node cut off by a line has a displacement on each side [RRH07].
-
-Lines across which the displacement may be discontinuous, and in which directions.
-"""
+"""Kinematics with discontinuities: a node cut off by a line has a displacement on each side [RRH07]."""
 
 from __future__ import annotations
 

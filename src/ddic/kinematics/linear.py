@@ -1,7 +1,4 @@
-"""Kinematics given by a matrix: modes, components that are fixed or tied, or any basis of one's own.
-
-Nodes whose displacement is that of others: a mesh tied to one that it does not match.
-"""
+"""Kinematics given by a matrix: modes, fixed or tied components, any basis, nodes tied to a mesh they do not match."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""Motions of the plane fitted to points and their displacements: a rotation with a scale, and affine maps.
-
-Of neighbours of which some may be wrong too, by which a displacement is interpolated between points.
-"""
+"""Rotations with a scale, and affine maps, fitted to points and their displacements, of which some may be wrong."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,4 @@
-"""Strains of the measured field, at cell centres.
-
-Tensors come from displacement gradients, in the plane or in space, and numbers from tensors of the plane. Also how far
-a displacement can be magnified.
-"""
+"""Strains of the measured field at cell centres, in the plane or in space; how far a displacement can be magnified."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -51,10 +47,7 @@ def find_inverted_cells(mesh: Mesh, q: Array) -> IntArray:
 
 
 def compute_displacement_gradients(mesh: Mesh, q: Array) -> Array:
-    """Compute du_c/dx_j at the centre of every cell, (n_cells, dim, dim), no unit.
-
-    The nodal displacement is (n_dofs,), pixels.
-    """
+    """Compute du_c/dx_j at each cell's centre, (n_cells, dim, dim), from displacements of nodes, (n_dofs,), pixels."""
     gradient = np.empty((mesh.n_cells, mesh.dim, mesh.dim))
     u = q.reshape(mesh.nodes.shape)
     for block in mesh.cell_blocks:
@@ -72,10 +65,7 @@ def compute_displacement_gradients(mesh: Mesh, q: Array) -> Array:
 
 
 def list_components(dim: int) -> list[tuple[int, int]]:
-    """List the components of a symmetric tensor, (i, j), in their order: the diagonal, then what is above it.
-
-    In the plane xx, yy, xy; in space xx, yy, zz, xy, xz, yz.
-    """
+    """List the components (i, j) of a symmetric tensor: xx, yy, xy in the plane, xx, yy, zz, xy, xz, yz in space."""
     return [*((i, i) for i in range(dim)), *combinations(range(dim), 2)]
 
 

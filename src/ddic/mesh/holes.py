@@ -1,7 +1,4 @@
-"""Shapes of holes: signed distance and nearest point of their outline.
-
-Holes that a mask image draws: outlines of what it leaves out, with their corners.
-"""
+"""Shapes of holes, also of those that a mask image draws: signed distance, nearest point of the outline, corners."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

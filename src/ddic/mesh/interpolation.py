@@ -1,7 +1,4 @@
-"""Values at any point of a mesh, by the shape functions of the cell that holds it.
-
-Whether points lie inside a mesh's outline, and which cells cover any of them.
-"""
+"""Values at any point of a mesh, by the shape functions of the cell that holds it; which points lie in which cells."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -69,10 +66,7 @@ def interpolate(mesh: Mesh, values: Array, points: Array) -> Array:
 
 
 def interpolate_located(mesh: Mesh, values: Array, located: Located) -> Array:
-    """Interpolate nodal values at points whose cells are known, for many fields at the same points.
-
-    From values (n_nodes, k) to (n, k), nan where points are in no cell.
-    """
+    """Interpolate nodal values, (n_nodes, k), of many fields at the same points, (n, k), nan outside all cells."""
     found = np.full((len(located.cells), values.shape[1]), np.nan)
     held = located.cells >= 0
     types = np.zeros(len(located.cells), dtype=mesh.types.dtype)

@@ -1,7 +1,4 @@
-"""The mesh: frozen arrays of nodes and cells, for any dimension and cell type.
-
-Geometry of a mesh's cells: maps from the reference cell, and gradients of the shape functions.
-"""
+"""The mesh: frozen arrays of nodes and cells, for any dimension and cell type; gradients of its shape functions."""
 
 from __future__ import annotations
 

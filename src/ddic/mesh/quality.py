@@ -1,8 +1,4 @@
-"""Area and shape of plane cells, whose nodes are the corners of a polygon.
-
-Areas of what cells cover: of whole cells, or of parts on one side of a discontinuity. Corners of cells, each with its
-neighbours along the cell's edges.
-"""
+"""Area, shape and corners of plane cells, whose nodes are corners; areas of parts on one side of a discontinuity."""
 
 from dataclasses import dataclass
 
@@ -25,10 +21,7 @@ def measure_cell_size(mesh: Mesh) -> float:
 
 
 def measure_shape_quality(mesh: Mesh) -> Array:
-    """Find the smallest sine of each cell's corner angles.
-
-    It is 1 for a rectangle, <= 0 for a cell that is not convex or runs negatively.
-    """
+    """Find the least sine of each cell's corners: 1 of a rectangle, <= 0 where it is not convex or runs negatively."""
     ahead, behind = list_corner_edges(mesh, mesh.nodes)
     lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
     sines = np.divide(multiply_across(ahead, behind), lengths, out=np.zeros_like(lengths), where=lengths > 0)
@@ -75,10 +68,7 @@ def list_corner_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
 
 
 def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:
-    """Measure what each cell covers, square pixels, and its share of the whole cell; cells run positively.
-
-    The share is 1 where no discontinuity cuts the cell.
-    """
+    """Measure what each positively run cell covers, square pixels, and its share of the whole cell, 1 where not cut."""
     areas = _measure_polygons(*mesh.outlines)
     if mesh.parts is None:
         return areas, np.ones(mesh.n_cells)

@@ -1,7 +1,4 @@
-"""Repair of a mesh's orientation and numbering; refusal of cells that nothing can be computed on.
-
-How cells meet: side to side and each place once, or a displacement would tear there or be counted twice.
-"""
+"""Repair of a mesh's orientation and numbering; refusal of cells that are degenerate or do not meet side to side."""
 
 from dataclasses import replace
 
@@ -120,7 +117,7 @@ ON_SIDE = 1e-3
 
 
 def check_joints(mesh: Mesh) -> None:
-    """Refuse a mesh whose cells do not meet as those of a finite element mesh do.
+    """Refuse a mesh whose cells do not meet side to side, each place once: displacements would tear or count twice.
 
     Raises InputError with a line for each kind of fault: more than two cells at a side, nodes on a side that is not
     theirs, cells that overlap. Cells along a slit, with nodes of their own on either side of it, are none of these. The

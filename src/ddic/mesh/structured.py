@@ -1,7 +1,4 @@
-"""Regular meshes of a rectangular region, with holes and masks.
-
-Rounding of the staircase that cells removed from a grid leave around a hole.
-"""
+"""Regular meshes of a rectangle, with holes and masks, along whose outlines the staircase of cells is rounded."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,4 @@
-"""Facets of a mesh: which cells share them, which lie on the boundary.
-
-Nodes by name or by box; those that regularization leaves free: loaded and clamped edges, where forces are unknown.
-"""
+"""Facets of a mesh and the cells that share them; nodes by name or box, and those whose equilibrium is not imposed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -126,10 +123,7 @@ def _sort(keys: IntArray) -> IntArray:
 
 
 def find_named_nodes(mesh: Mesh, name: str) -> IntArray:
-    """Look up a node set: sorted numbers of its nodes.
-
-    Raises InputError where the mesh has no such set, with the nearest name, or where the set is empty.
-    """
+    """Look up a node set: sorted nodes; raises InputError where it is empty or unknown, then with the nearest name."""
     if name not in mesh.node_sets:
         near = get_close_matches(name, list(mesh.node_sets), n=1)
         known = ", ".join(f'"{key}"' for key in sorted(mesh.node_sets)) or "none"

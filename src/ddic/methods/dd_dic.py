@@ -1,7 +1,4 @@
-"""FE-DIC and R-DIC by dual domain decomposition: the algorithm of [BP17, Fig. 5], for any number of cameras and frames.
-
-Gauss-Newton on one frame, with operators and grey levels that fit what the frame shows of the specimen.
-"""
+"""FE-DIC and R-DIC by dual domain decomposition [BP17, Fig. 5], for any number of cameras and frames."""
 
 from dataclasses import replace
 
@@ -110,14 +107,10 @@ class DecomposedSession(MethodSession):
 
     Parameters
     ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        Reference images, mesh and settings.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
+    team, inputs : Team, Inputs
+        All ranks; reference images, mesh and settings.
+    listener, clock : Listener, PhaseClock
+        Told what happens; the clock of the phases.
     first_frame : Frame, optional
         Where it is known already, its coarse field is sought while rank 0 splits the mesh.
 

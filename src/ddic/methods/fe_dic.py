@@ -1,7 +1,4 @@
-"""FE-DIC and R-DIC of a case, the method of cases that ask for no other one, with lines that the images correct.
-
-A line is found in a continuous field; lines that were given are refined.
-"""
+"""FE-DIC and R-DIC, the method of cases that ask for no other one, with lines that the images tell or correct."""
 
 from __future__ import annotations
 
@@ -113,14 +110,10 @@ class LineSession(MethodSession):
 
     Parameters
     ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        Reference images, mesh and settings.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
+    team, inputs : Team, Inputs
+        All ranks; reference images, mesh and settings.
+    listener, clock : Listener, PhaseClock
+        Told what happens; the clock of the phases.
     first_frame : Frame, optional
         Where it is known already, and no other one will be measured.
     """

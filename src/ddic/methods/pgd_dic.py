@@ -1,7 +1,4 @@
-"""PGD-DIC: successive rank-one corrections of a displacement that is a sum of products, Fig. 2 of [PP12].
-
-Also what was measured, the cells on which it is written out, and what the residual image says of these cells.
-"""
+"""PGD-DIC: successive rank-one corrections of a displacement that is a sum of products, Fig. 2 of [PP12]."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -295,10 +292,7 @@ def list_corrections(records: Sequence[CorrectionRecord]) -> dict[str, list[Any]
 
 def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, notes: tuple[str, ...],
                      solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
-    """Compute the residual image and judge cells; collective.
-
-    ``failure`` says why the displacement is no result, nothing where it converged.
-    """
+    """Compute the residual image and judge cells, ``failure`` saying why there is no result, else empty; collective."""
     residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
     grid = GridLines(*choose_output_lines(problem.inputs.case, problem.rectangle))
     cells = evaluate_output_cells(problem.team, grid, problem.reference, residual)
@@ -313,14 +307,10 @@ class SeparatedSession(MethodSession):
 
     Parameters
     ----------
-    team : Team
-        All ranks.
-    inputs : Inputs
-        Reference images, mesh and settings.
-    listener : Listener
-        Told what happens.
-    clock : PhaseClock
-        Of the phases.
+    team, inputs : Team, Inputs
+        All ranks; reference images, mesh and settings.
+    listener, clock : Listener, PhaseClock
+        Told what happens; the clock of the phases.
     """
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock) -> None:

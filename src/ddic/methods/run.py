@@ -1,7 +1,4 @@
-"""A whole run of a case file, of a pair or of a series, and what it leaves in its folder.
-
-Of a pair: inputs opened, field measured, result and summary written, or the last field where it does not converge.
-"""
+"""A whole run of a case file, of a pair or of a series, and what it leaves in its folder."""
 
 import json
 import math
@@ -180,10 +177,7 @@ def _list_images(measurement: Publishable) -> dict[str, str]:
 
 @contextmanager
 def claimed_output(team: Team, file: Path) -> Iterator[None]:
-    """Keep other runs from a result's name while the block measures and writes it; collective.
-
-    Raises InputError on all ranks where another run has it.
-    """
+    """Keep others from a result's name during the block; collective, raises InputError on all ranks if a run has it."""
     with ExitStack() as stack:
         team.build_on_root(lambda: stack.enter_context(held_output(file)))
         try:
@@ -196,10 +190,7 @@ def claimed_output(team: Team, file: Path) -> Iterator[None]:
 
 
 def remove_failed_field(team: Team, file: Path, start: Path | None) -> None:
-    """Remove the field that an earlier run left when it did not converge; collective.
-
-    It stays where it is ``start``, the earlier result that the case starts from.
-    """
+    """Remove the field that an earlier run left unconverged, unless the case starts from it, ``start``; collective."""
     path = schema.not_converged_path(file)
     if start is None or find_real_path(path) != find_real_path(start):
         team.on_root(lambda: remove_result(path))

@@ -389,10 +389,7 @@ class ReferenceSession:
         return math.hypot(self._noise_floor, self._floor_by_grey_level * deviation)
 
     def restrict_states(self, other: ReferenceSession, states: Sequence[FrameState]) -> list[FrameState]:
-        """Restrict states on another session's subdomains to this one's; collective.
-
-        None are left where other lines cut the mesh.
-        """
+        """Restrict another session's states to these subdomains, none where other lines cut the mesh; collective."""
         if other is self:
             return list(states)
         if other.lines != self.lines:

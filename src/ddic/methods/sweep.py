@@ -60,12 +60,8 @@ class CandidateSession:
 
     Parameters
     ----------
-    team : Team
-        All ranks.
-    candidate : Candidate
-        What is tried.
-    inputs : Inputs
-        With its case and mesh.
+    team, candidate, inputs : Team, Candidate, Inputs
+        All ranks; what is tried, and inputs with its case and mesh.
     stays_open : bool
         Whether images, M and factors are kept from one measurement to the next.
     """

@@ -1,7 +1,4 @@
-"""A partition in which every subdomain's slaves determine its masters.
-
-A partition in which every subdomain's pixels determine the displacements on both sides of a discontinuity.
-"""
+"""Partitions in which every subdomain's slaves determine its masters, and its pixels both sides of a discontinuity."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,4 @@
-"""Split the cells of a mesh into subdomains, and join those that cannot stand alone with a neighbour that can.
-
-What a cell costs is the weight by which the mesh is cut and subdomains are dealt to ranks. Each cell is measured by one
-camera, and the partition keeps cameras apart.
-"""
+"""Split the cells of a mesh into subdomains, and join those that cannot stand alone with a neighbour that can."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -230,10 +226,7 @@ def split_by_camera(labels: IntArray, costs: Array, n_subdomains: int, split: Sp
 
 
 def keep_cameras_apart(parts: IntArray, labels: IntArray) -> IntArray:
-    """Cut the subdomains of a given partition where the camera changes.
-
-    From the subdomain and the camera of each cell to its new subdomain, numbered by camera without gaps.
-    """
+    """Cut subdomains where cells' cameras change: the new subdomain of each cell, numbered by camera without gaps."""
     n_parts = int(parts.max()) + 1
     by_camera_and_part = labels * n_parts + parts
     return renumber(by_camera_and_part)

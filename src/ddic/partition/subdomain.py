@@ -1,7 +1,4 @@
-"""A subdomain: its part of the mesh, its unknowns, and what it shares with its neighbours.
-
-Signed incidence of a subdomain's interface unknowns in the chains' rows, plain and scaled.
-"""
+"""A subdomain: its part of the mesh, its unknowns, and the signed incidence of those that it shares with neighbours."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -1,8 +1,4 @@
-"""A near field's own mesh in place of the far elements under it, tied to those around it.
-
-First where near meshes touch what they leave of the far mesh, and whether they do so along whole edges; then the mesh
-of all, and how its nodes are tied.
-"""
+"""A near field's own mesh in place of the far elements under it, tied to those around it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -404,10 +404,7 @@ HISTOGRAM_COLOURS = ("tab:blue", "tab:orange")
 
 
 def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
-    """Draw the distribution of the residual beside the normal one of the same standard deviation.
-
-    Tails above the normal ones are not noise.
-    """
+    """Draw the residual's distribution and the normal one of its standard deviation: tails above it are not noise."""
     values = residual[np.isfinite(residual)].astype(np.float64)
     std = float(values.std()) if values.size else 1.0
     # Of a residual of one value, such as 0, the curve is that of any deviation.

@@ -287,10 +287,7 @@ def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
 
 
 def pick_tensors(result: Result, choice: StrainChoice) -> Array:
-    """Pick the strain tensors xx, yy, xy of a result, (n_nodes, 3) or (n_cells, 3).
-
-    Raises InputError where the result has no strain at nodes.
-    """
+    """Pick the strains xx, yy, xy, (n_nodes, 3) or (n_cells, 3); raises InputError where there are none at nodes."""
     if choice.by_cell:
         name = schema.STRAIN_INFINITESIMAL if choice.measure == "infinitesimal" else schema.STRAIN_GREEN_LAGRANGE
         tensors = schema.pick_in_the_plane(result.cell_data[name])

@@ -1,7 +1,4 @@
-"""The mesh partition and the sub-images over the reference image (Fig. 8 of [BP17]).
-
-A mesh over the reference image, before anything is measured.
-"""
+"""A mesh, or its partition and sub-images (Fig. 8 of [BP17]), over the reference image, before anything is measured."""
 
 from collections.abc import Sequence
 

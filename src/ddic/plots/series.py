@@ -1,7 +1,4 @@
-"""What the frames of a series come to, against time.
-
-Pages that are shown one after the other, as GIF or MP4.
-"""
+"""What the frames of a series come to, against time; animations of their pages, as GIF or MP4."""
 
 import subprocess
 from collections.abc import Iterable, Iterator

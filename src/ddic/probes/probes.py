@@ -1,7 +1,4 @@
-"""What a field is read with, points, lines, extensometers and strain gauges, and what they read on it.
-
-Probes are written in a TOML file, or as numbers between commas.
-"""
+"""Points, lines, extensometers and strain gauges, from a TOML file or numbers between commas, and what they read."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,4 @@
-"""Tables of what probes read over time, with the resolution and the noise of each.
-
-Whole fields as tables: a row for each node or cell, a column for each component.
-"""
+"""Tables of what probes read over time, with the resolution and the noise of each, and of whole fields."""
 
 import csv
 import math

@@ -418,10 +418,7 @@ def find_held(subdomain: Subdomain, counts: Sequence[IntArray]) -> BoolArray:
 
 
 def sum_pixels(subdomain: Subdomain, counts: Sequence[IntArray]) -> Array:
-    """Sum the pixels that see each unknown, (n_field,): those of the cells about the nodes that it displaces.
-
-    They are weighted by how far the unknown displaces each node.
-    """
+    """Sum the pixels of cells about the nodes that an unknown displaces, (n_field,), weighted by how far it does."""
     of_nodes = sum_about_nodes(subdomain.mesh, np.sum(counts, axis=0))
     return np.asarray(abs(subdomain.kinematics.tangent).T @ np.repeat(of_nodes, subdomain.mesh.dim))
 

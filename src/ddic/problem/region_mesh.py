@@ -452,10 +452,7 @@ def build_material(section: RegularizationSection) -> Material:
 
 
 def compute_cut_off_wavelength(case: Case) -> float:
-    """Find the wavelength below which mechanics hold the displacement, pixels.
-
-    It is 0 without regularization, infinite where eta is given.
-    """
+    """Find the wavelength below which mechanics rule, pixels: 0 without regularization, infinite where eta is given."""
     section = case.regularization
     if section is None:
         return 0.0

@@ -1,7 +1,4 @@
-"""The residual f - g(x + u) of all subdomains in one frame: what Gauss-Newton asks of the images.
-
-Also whether a frame turns or stretches the specimen so much that the gradient of its own image is needed.
-"""
+"""The residual f - g(x + u) of all subdomains in one frame: what Gauss-Newton asks of the images."""
 
 from __future__ import annotations
 

@@ -105,10 +105,7 @@ def build_rectangle(case: Case) -> Rectangle:
 
 
 def find_rectangle(mesh: Mesh) -> Rectangle:
-    """Find the lines of a mesh, pixels, which cross at its nodes.
-
-    Raises InputError where the cells do not fill a rectangle between lines, all of them Q4.
-    """
+    """Find the lines, pixels, that cross at a mesh's nodes; raises InputError where it is no rectangle all of Q4."""
     x, y = (np.unique(mesh.nodes[:, axis].round(9)) for axis in range(2))
     n_cells = (len(x) - 1) * (len(y) - 1)
     if mesh.n_nodes != len(x) * len(y) or mesh.n_cells != n_cells or len(mesh.connectivity) != 4 * n_cells:
@@ -218,10 +215,7 @@ class SeparatedProblem:
 
 
 def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> SeparatedProblem:
-    """Read the reference image and find the weight of the regularisation; collective.
-
-    Pixels are spread over ranks. Raises InputError on all ranks.
-    """
+    """Read the reference image, spread over ranks, and find eta; collective, raises InputError on all ranks."""
     rectangle, case = team.together(lambda: _choose_rectangle(inputs)), inputs.case
     with clock.phase(Phase.READ):
         reference = read_reference_pixels(team, inputs, rectangle)

@@ -42,8 +42,6 @@ class WeightedProblem:
 
     Attributes
     ----------
-    team, reference : Team, ReferenceProblem
-        As they were given.
     noise : tuple of float
         Of each camera, grey levels; empty with one camera, and before it is known.
     n_assembled : int

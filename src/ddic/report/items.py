@@ -381,10 +381,7 @@ def _describe_source(gathered: Gathered) -> str:
 
 
 def find_field_metrology(gathered: Gathered) -> Metrology:
-    """Find resolution and noise of the field as it is, read at nodes.
-
-    Resolution is that of the mesh's mean element size, noise that of all nodes.
-    """
+    """Find resolution, of the mesh's mean element size, and noise, of all nodes, of the field as read at nodes."""
     result = gathered.result
     deviations = [result.point_data[name] for name in ("sigma_u", "sigma_v") if name in result.point_data]
     level = math.sqrt(np.nanmean(np.square(deviations))) if deviations else math.nan

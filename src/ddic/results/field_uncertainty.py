@@ -165,8 +165,7 @@ def solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: 
 
     Of a true field q the images of no noise tell A^-1 M q, which is off by -H q, H = A^-1 eta Kbar^T Kbar. The measured
     field, less the bias as far as it is known, stands in for the true one: N_TERMS terms of -(H + H^2 + ...) times the
-    measured field. ``model`` says how far the region has turned. Returns the estimated field less the true one,
-    pixels.
+    measured field. ``model`` says how far the region has turned. Returns the estimated field less the true one, pixels.
     """
     nothing = Field.zero(model.team, subdomains)
     bias = nothing

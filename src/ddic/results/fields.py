@@ -60,10 +60,7 @@ def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displac
 
 
 def describe_nodal_strains(gradients: Array) -> dict[str, NDArray[Any]]:
-    """Compute all strains that the result file has at points, by name, of gradients du_c / dx_j, (n, 2, 2).
-
-    Each is (n,) or (n, 6), no unit.
-    """
+    """Compute the result file's strains at points by name, (n,) or (n, 6), of gradients du_c / dx_j, (n, 2, 2)."""
     large = compute_green_lagrange(gradients)
     hencky = compute_hencky(large)
     first, second = find_principal_strains(hencky).T
@@ -296,10 +293,7 @@ def list_iterations(measurement: Measurement) -> dict[str, list[Any]]:
 
 
 def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
-    """Write the table of Gauss-Newton's iterations, the Krylov residuals of each, and all attributes; on rank 0.
-
-    These are the case, times and units, how noise was judged, what is known of near-field set-ups, and the status.
-    """
+    """Write the table of Gauss-Newton's iterations, the Krylov residuals of each, and all attributes; on rank 0."""
     writer.write_table(schema.GAUSS_NEWTON, list_iterations(measurement))
     writer.write_curves(schema.KRYLOV, [r.krylov_history for r in measurement.records])
     write_case(measurement, writer, {"largest_jump_px": measurement.largest_jump,

@@ -1,8 +1,4 @@
-"""A measured field, spread over ranks, and how it was measured.
-
-Also the last field of a measurement that did not converge, kept so that one can look at it, and a displacement gathered
-on rank 0.
-"""
+"""A measured field, spread over ranks, and how it was measured; the last field of one that did not converge."""
 
 from __future__ import annotations
 

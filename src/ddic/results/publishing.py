@@ -164,10 +164,7 @@ def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
 
 
 def describe_images(team: Team, images: Mapping[str, ImageSource]) -> dict[str, str | int]:
-    """Describe images as ``describe_image`` does, each on a rank of its own: a checksum of a large file takes seconds.
-
-    Collective.
-    """
+    """Describe images as ``describe_image`` does, each on a rank of its own, for checksums take seconds; collective."""
     owners = [k * team.size // len(images) for k in range(len(images))]
     mine = team.together(lambda: [describe_image(name, image) for (name, image), owner
                                   in zip(images.items(), owners, strict=True) if owner == team.rank])

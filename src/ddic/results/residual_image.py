@@ -1,7 +1,4 @@
-"""The residual image of each camera in the result file.
-
-Every rank computes, compresses and writes its chunks; rank 0 only makes room for them.
-"""
+"""The residual image of each camera in the result file: rank 0 makes room, ranks compress and write their chunks."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What is told of a run, of a pair or a series, and of each frame: the JSON summary, for scripts.
-
-Between which values a field lies.
-"""
+"""The JSON summary, for scripts: what is told of a run, of a pair or a series, and of each frame; ranges of a field."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,4 @@
-"""What a sweep over cut-off wavelengths and element sizes found, and which of them it recommends.
-
-Errors of measured fields are predicted from the residuals and the degrees of freedom of all of them. Its tables: for
-people, and as comma-separated values.
-"""
+"""What a sweep over cut-off wavelengths and element sizes found, which of them it recommends, and its tables."""
 
 import csv
 import re
@@ -41,13 +37,7 @@ class Candidate:
     wavelength: float
 
     def describe(self) -> str:
-        """Say what it is.
-
-        Returns
-        -------
-        str
-            For messages and tables.
-        """
+        """Return what it is, for messages and tables."""
         gap = f"l_c = {self.wavelength:g} px" if self.wavelength else "no regularization"
         return gap if self.element_size is None else f"elements of {self.element_size:g} px, {gap}"
 
@@ -127,13 +117,7 @@ class Sweep:
         return self.trials[self.recommended]
 
     def describe_recommendation(self) -> str:
-        """Say what is recommended and why.
-
-        Returns
-        -------
-        str
-            One line.
-        """
+        """Return what is recommended and why, in one line."""
         best, own = self.best, self.trials[0]
         n_measured = sum(bool(np.isfinite(trial.virtual_error)) for trial in self.trials)
         reason = (f"error of {best.virtual_error:.2g} px RMS on the virtual images, within "
@@ -144,13 +128,7 @@ class Sweep:
         return "; ".join([f"recommended: {best.candidate.describe()}: {reason}", *notes])
 
     def describe_case(self) -> str:
-        """Say what to write into the case file.
-
-        Returns
-        -------
-        str
-            Sections and keys.
-        """
+        """Return what to write into the case file: sections and keys."""
         best = self.best.candidate
         lines = [] if best.element_size is None else ["[mesh.structured]", f"element_size = {best.element_size:g}"]
         gap = ["[regularization]", f"cut_off_wavelength = {best.wavelength:g}"]

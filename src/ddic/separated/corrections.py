@@ -1,7 +1,4 @@
-"""Successive corrections of a separated displacement, each followed by a new residual: Fig. 2 of [PP12].
-
-What the best rank-one correction gains from noise alone.
-"""
+"""Successive corrections of a separated displacement, each followed by a new residual: Fig. 2 of [PP12]."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -83,10 +80,8 @@ class Scheme:
 
     Attributes
     ----------
-    max_sweeps : int
-        k_max of the fixed point.
-    stagnation : float
-        e of the fixed point.
+    max_sweeps, stagnation : int, float
+        k_max and e of the fixed point.
     update : bool
         Whether all functions of one direction are found anew after each mode, in turn those of x and of y.
     correction : GreyCorrection

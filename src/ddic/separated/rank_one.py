@@ -1,7 +1,4 @@
-"""The best rank-one correction by alternating directions, Fig. 2 and Eq. (19)-(24) of [PP12].
-
-All functions of one direction found anew, those of the other direction kept.
-"""
+"""The best rank-one correction, Fig. 2 and Eq. (19)-(24) of [PP12]; all functions of one direction found anew."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

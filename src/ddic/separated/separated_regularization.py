@@ -24,10 +24,8 @@ class Wave:
     ----------
     component : int
         That moves.
-    x : (n_x,) array
-        Of x, pixels.
-    y : (n_y,) array
-        Of y, no unit.
+    x, y : (n_x,) and (n_y,) array
+        Of x, pixels, and of y, no unit.
     """
 
     component: int
@@ -43,10 +41,8 @@ class SeparatedOperator:
     ----------
     rows, columns : (n_terms,) int64 array
         Components c and d that each term couples.
-    x : (n_terms, 2 w + 1, n_x) array
-        Matrices along x.
-    y : (n_terms, 2 w + 1, n_y) array
-        Matrices along y.
+    x, y : (n_terms, 2 w + 1, n_x or n_y) array
+        Matrices along x and along y.
     """
 
     rows: IntArray
@@ -92,10 +88,7 @@ def build_no_operator(along_x: LineElements, along_y: LineElements) -> Separated
 
 
 def build_tikhonov(along_x: LineElements, along_y: LineElements) -> SeparatedOperator:
-    """Build the integral of grad u : grad v, whose Euler equation is Laplace's: Eq. (26)-(28) of [PP12].
-
-    It couples no components and has no unit.
-    """
+    """Build int grad u : grad v, uncoupled, no unit, whose Euler equation is Laplace's: Eq. (26)-(28) of [PP12]."""
     products = ((along_x.stiffness, along_y.mass), (along_x.mass, along_y.stiffness))
     return _stack([(c, c, matrices) for c in range(2) for matrices in products])
 
@@ -124,10 +117,8 @@ class ControlledLines:
 
     Attributes
     ----------
-    x : (n_x,) array of bool
-        Of the vertical lines.
-    y : (n_y,) array of bool
-        Of the horizontal lines.
+    x, y : (n_x,) and (n_y,) array of bool
+        Of the vertical and of the horizontal lines.
     """
 
     x: BoolArray

@@ -148,10 +148,7 @@ def _measure_ways(subdomains: Sequence[Subdomain], before: Sequence[Array], afte
 
 
 def _sum_moments(subdomain: Subdomain, displacement: Array) -> Array:
-    """A subdomain's share of the moments of its nodes' places x and displacements u, pixels, (13,).
-
-    They are 1, x, u, x x, u x and |u|^2.
-    """
+    """A subdomain's share of moments 1, x, u, x x, u x, |u|^2 of nodes' places and displacements, pixels, (13,)."""
     share = 1.0 / subdomain.node_multiplicity
     nodes = subdomain.mesh.nodes
     u = displacement.reshape(nodes.shape)

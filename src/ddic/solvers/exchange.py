@@ -1,7 +1,4 @@
-"""Who owns which number, the neighbour exchange of values, and matrices whose rows ranks make for one another.
-
-From the copies of an interface unknown comes one value, section 5.3.2 of [BP17].
-"""
+"""Who owns which number, the neighbour exchange of values, and matrices whose rows ranks make for one another."""
 
 from __future__ import annotations
 

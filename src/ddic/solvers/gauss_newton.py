@@ -1,9 +1,8 @@
 """Gauss-Newton: rank 0 decides and reports, every rank obeys the same decision.
 
-Anderson mixing: Gauss-Newton's next unknowns from its last few corrections.
-
 A step q <- q + dq(q) with a constant M closes in at once wherever M is the true Jacobian, and slowly at the few nodes
-where it is not. The last corrections tell how dq changes with q along the directions that matter there.
+where it is not. Anderson mixing: the last few corrections tell how dq changes with q along the directions that matter
+there.
 """
 
 from collections.abc import Callable, Sequence

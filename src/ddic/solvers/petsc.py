@@ -309,9 +309,8 @@ class PetscStack(ExitStack):
     """Destroys what it keeps, last made first, when its ``with`` block ends.
 
     A constructor makes its objects inside a ``with`` block, so that an error on the way frees those already made, and
-    ends with ``self._objects = stack.pop_all()``, which hands them to ``self._objects.close()``.
-    Python's collector is not enough: it runs at different times on the ranks, so that petsc4py leaves parallel objects
-    to a later clean-up.
+    ends with ``self._objects = stack.pop_all()``, which hands them to ``self._objects.close()``. Python's collector is
+    not enough: it runs at different times on the ranks, so that petsc4py leaves parallel objects to a later clean-up.
     """
 
     def keep(self, thing: T) -> T:

@@ -30,10 +30,8 @@ class WholeSystem:
 
     Parameters
     ----------
-    team : Team
-        All ranks; they make it together.
-    systems : sequence of LocalSystem
-        This rank's subdomains.
+    team, systems : Team, sequence of LocalSystem
+        All ranks, which make it together; this rank's subdomains.
 
     Attributes
     ----------
@@ -232,10 +230,8 @@ class AssembledStep:
 
     Parameters
     ----------
-    team : Team
-        All ranks; they make it together.
-    systems : sequence of LocalSystem
-        This rank's subdomains.
+    team, systems : Team, sequence of LocalSystem
+        All ranks, which make it together; this rank's subdomains.
     smallest_eigenvalue : float
         Below it A counts as singular, grey levels squared per pixel squared.
     """
@@ -329,10 +325,8 @@ class ConjugateGradientStep:
 
     Parameters
     ----------
-    team : Team
-        All ranks; they make it together.
-    systems : sequence of LocalSystem
-        This rank's subdomains.
+    team, systems : Team, sequence of LocalSystem
+        All ranks, which make it together; this rank's subdomains.
     tolerance : float
         On the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with z = D^-1 times the residual.
     max_iterations : int

@@ -1,8 +1,4 @@
-"""Analytic displacement fields, each with its exact gradient.
-
-One of them is that of the plate with a circular hole in uniaxial tension (Kirsch). A hole cut out of the speckled
-plate, as it looks in a picture, belongs to it.
-"""
+"""Analytic displacement fields, each with its exact gradient, and the hole of Kirsch's plate as a picture shows it."""
 
 import math
 from dataclasses import dataclass
@@ -239,9 +235,7 @@ class Kirsch:
 
     Attributes
     ----------
-    center : (float, float)
-        Of the hole, pixels.
-    radius : float
+    center, radius : (float, float) and float
         Of the hole, pixels.
     strain : float
         Far-field stress over Young's modulus, no unit.
@@ -335,9 +329,7 @@ class Hole:
 
     Attributes
     ----------
-    center : (float, float)
-        Pixels.
-    radius : float
+    center, radius : (float, float) and float
         Pixels.
     level : float
         Grey level inside, as a fraction of full scale.

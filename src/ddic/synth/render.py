@@ -1,8 +1,4 @@
-"""Rendering a pair of images whose displacement is known exactly.
-
-The motion is inverted: which reference point lands on a given point of the deformed image. A camera's picture has a
-size, and turns exact grey levels into the values that an image stores: noise, clipping and rounding.
-"""
+"""Rendering a pair of images whose displacement is known exactly: motion inverted, noise added, grey levels rounded."""
 
 import math
 from collections.abc import Iterator

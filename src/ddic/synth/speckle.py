@@ -1,7 +1,4 @@
-"""The speckle texture: a sum of Gaussians drawn at random over the whole plane, known at any point.
-
-One painted surface seen at two magnifications: coarse spots that both cameras see, fine spots that one resolves.
-"""
+"""The speckle texture: a sum of Gaussians at random over the whole plane, known at any point; also of two scales."""
 
 import math
 from collections.abc import Iterator

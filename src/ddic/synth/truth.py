@@ -1,7 +1,4 @@
-"""The truth file: everything needed to rebuild a generated pair's exact displacement field.
-
-That of a near-field and far-field pair gives exact displacements in both cameras' pixels.
-"""
+"""The truth file: everything needed to rebuild the exact displacement of a generated pair, or of a near and far one."""
 
 import dataclasses
 import json

@@ -1,7 +1,4 @@
-"""How far off each cell may be, from its residual beyond noise; and the nodes of which a frame says nothing.
-
-What the log says of cells and pixels that are excluded, and where they lie.
-"""
+"""How far off each cell may be, by its residual beyond noise; nodes of which a frame says nothing; log lines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

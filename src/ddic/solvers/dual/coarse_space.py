@@ -1,7 +1,4 @@
-"""The coarse space of the interface problem: low-energy modes of the subdomains, seen by the interface.
-
-These modes of a subdomain are the lowest eigenvectors of A_s with softened interface rows.
-"""
+"""The coarse space of the interface problem: low-energy modes of the subdomains, seen by the interface."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

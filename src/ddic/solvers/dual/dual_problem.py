@@ -1,7 +1,4 @@
-"""The interface problem S_tot v = t_tot of all subdomains, Eq. 25-31 of [BP17], and what each subdomain brings to it.
-
-Its dual Schur complement S_tot is a PETSc shell operator.
-"""
+"""The interface problem S_tot v = t_tot, Eq. 25-31 of [BP17], S_tot a shell operator; what subdomains bring to it."""
 
 from __future__ import annotations
 
@@ -208,10 +205,7 @@ class DualSchurOperator:
 
 
 def sum_motion_scales(team: Team, systems: Sequence[LocalSystem]) -> dict[int, Array]:
-    """Sum kappa = sum_s diag R_s^T M_s R_s of every camera whose set-up moves; collective.
-
-    The result, (n_motion,) by the camera's number, has grey levels squared per pixel squared.
-    """
+    """Sum kappa = sum_s diag R_s^T M_s R_s, (n_motion,), (grey levels / px)^2, by camera that moves; collective."""
     mine = [(system.subdomain.camera, system.motion_block.diagonal())
             for system in systems if system.subdomain.motion is not None]
     scales: dict[int, Array] = {}
@@ -225,10 +219,8 @@ class DualProblem:
 
     Parameters
     ----------
-    team : Team
-        All ranks; they make it together.
-    systems : sequence of LocalSystem
-        This rank's subdomains.
+    team, systems : Team, sequence of LocalSystem
+        All ranks, which make it together; this rank's subdomains.
     operators : sequence of LocalOperator
         Their A_s factorised, motions of cameras held; they stay their maker's to destroy.
     scale : float

@@ -158,10 +158,8 @@ class InterfaceSolver:
 
     Parameters
     ----------
-    operator : DualSchurOperator
-        S_tot.
-    preconditioner : Preconditioning or None
-        P.
+    operator, preconditioner : DualSchurOperator, Preconditioning or None
+        S_tot and P.
     coarse : CoarseSpace or None
         Coarse space of the preconditioner, which wants residuals free of it.
     settings : DualSettings
@@ -249,10 +247,7 @@ class InterfaceSolver:
         return n_iterations, np.array(self.ksp.getConvergenceHistory())
 
     def precondition_residual(self) -> PETSc.Vec:
-        """Apply P to the residual, which gives about the error that is left in the multipliers; collective.
-
-        The vector is the caller's to destroy.
-        """
+        """Apply P to the residual: about the error of the multipliers, a vector the caller's to destroy; collective."""
         out = self.residual.duplicate()
         self.ksp.getPC().apply(self.residual, out)
         return out
@@ -298,10 +293,8 @@ class DualStep:
 
     Parameters
     ----------
-    team : Team
-        All ranks; they make it together.
-    systems : sequence of LocalSystem
-        This rank's subdomains.
+    team, systems : Team, sequence of LocalSystem
+        All ranks, which make it together; this rank's subdomains.
     operators : sequence of LocalOperator
         Their A_s factorised, motions of cameras held; they stay their maker's to destroy.
     scale : float

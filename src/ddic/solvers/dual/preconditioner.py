@@ -269,12 +269,8 @@ class TwoLevelPreconditioner:
 
     Parameters
     ----------
-    operator : DualSchurOperator
-        S.
-    one_level : DualPreconditioner
-        P.
-    coarse : CoarseSpace
-        Q.
+    operator, one_level, coarse : DualSchurOperator, DualPreconditioner, CoarseSpace
+        S, P and Q.
     """
 
     def __init__(self, operator: DualSchurOperator, one_level: DualPreconditioner, coarse: CoarseSpace) -> None:
