@@ -19,7 +19,8 @@ from ddic.parallel.workers import Workers
 from ddic.start import binned_pair, level, multilevel
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_displacement import CutField
-from ddic.start.level import Helpers, TiledLevel, correlate_in_tiles, correlate_level, hold_rows
+from ddic.start.helpers import Helpers, hold_rows, split_rows
+from ddic.start.level import TiledLevel, correlate_in_tiles, correlate_level
 from ddic.start.multilevel import Pyramid, find_multilevel_start
 from ddic.synth.fields import Sinusoidal
 from support.pictures import pair_of, rms_error, source, square_mesh
@@ -47,8 +48,7 @@ def _images(mask: np.ndarray | None = None) -> tuple[MaskedSource, MaskedSource]
 def _search(images: tuple[MaskedSource, MaskedSource], lead: Callable[[Helpers], T], team: Team | None = None) -> T:
     """What the last rank finds, with all ranks of a team; each holds its rows of the images' pixels."""
     team = Team.alone() if team is None else team
-    edges = np.linspace(0, SIDE, team.size + 1).astype(int)
-    held = [hold_rows(*images, 1, range(edges[team.rank], edges[team.rank + 1]))]
+    held = [hold_rows(*images, 1, split_rows(SIDE, team.size)[team.rank])]
     workers = Workers(team, team.size - 1, held)
     _, found = workers.run(lambda: lead(Helpers(workers, 0)), lambda: None)
     return require_held(team.broadcast(found, root=workers.leader))

@@ -155,7 +155,7 @@ class BinnedSource(SizedImage):
 
     def read(self, window: Window) -> NDArray[np.float32]:
         """Average the blocks of a window, inside the image."""
-        wide = Window.between(*(self.ratio * np.array(corner) for corner in (window.lower, window.upper)))
+        wide = window.refine(self.ratio)
         begin, end = np.clip((self.first_row, self.first_row + len(self.held.values)), wide.y0, wide.y1).tolist()
         averaged = [self._average(wide.take_rows(wide.y0, begin)), self._look_up(wide.take_rows(begin, end)),
                     self._average(wide.take_rows(end, wide.y1))]
@@ -166,8 +166,7 @@ class BinnedSource(SizedImage):
         return np.asarray(means == 1.0, dtype=np.float32) if self.shows_mask else means
 
     def _average(self, window: Window) -> NDArray[np.float32]:
-        pixels = Window.between(*(self.factor * np.array(corner) for corner in (window.lower, window.upper)))
-        return self._choose(bin_window(self.pixels, self.factor, pixels))
+        return self._choose(bin_window(self.pixels, self.factor, window.refine(self.factor)))
 
     def _look_up(self, window: Window) -> NDArray[np.float32]:
         held = self._choose(self.held)

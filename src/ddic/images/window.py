@@ -88,6 +88,10 @@ class Window:
         """Extend on every side by ``halo`` pixels; the result may leave the image."""
         return Window(tuple([first - halo for first in self.lower]), tuple([last + halo for last in self.upper]))
 
+    def refine(self, factor: int) -> Window:
+        """Give the same box in pixels of which ``factor`` x ``factor`` make one of these."""
+        return Window(tuple([factor * first for first in self.lower]), tuple([factor * last for last in self.upper]))
+
     def intersection(self, other: Window) -> Window:
         """Find the common part of two boxes, which may be empty, with an upper corner that is not above the lower."""
         return Window(tuple(map(max, self.lower, other.lower)), tuple(map(min, self.upper, other.upper)))

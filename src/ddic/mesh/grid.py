@@ -95,6 +95,10 @@ class GridLines:
         numbers = np.arange(len(self.x) * len(self.y), dtype=np.int64).reshape(len(self.y), len(self.x))
         return {"left": numbers[:, 0], "right": numbers[:, -1], "top": numbers[0], "bottom": numbers[-1]}
 
+    def build_mesh(self) -> Mesh:
+        """Build the mesh of all rectangles, without node sets."""
+        return build_mesh(self.nodes, {Q4: self.quads})
+
     def cut_block(self, block: GridBlock) -> GridPart:
         """Make the mesh of a block, as a mesh of the whole grid restricted to its cells would be."""
         columns, rows = (range(cells.start, cells.stop + 1) for cells in block)
@@ -102,7 +106,7 @@ class GridLines:
         on_grid = {"left": columns.start == 0, "right": columns.stop == len(self.x),
                    "top": rows.start == 0, "bottom": rows.stop == len(self.y)}
         sets = {name: nodes if on_grid[name] else nodes[:0] for name, nodes in part.sides.items()}
-        mesh = replace(build_mesh(part.nodes, {Q4: part.quads}), node_sets=sets)
+        mesh = replace(part.build_mesh(), node_sets=sets)
         return GridPart(mesh, _number(rows, columns, len(self.x)), _number(block.rows, block.columns, len(self.x) - 1))
 
     def count_pixels(self) -> tuple[IntArray, IntArray]:

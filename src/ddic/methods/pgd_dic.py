@@ -84,7 +84,7 @@ class OutputCells:
 
     def build_mesh(self) -> Mesh:
         """Mesh them: Q4 cells, row by row."""
-        return build_mesh(self.grid.nodes, {Q4: self.grid.quads})
+        return self.grid.build_mesh()
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
         """Evaluate a displacement at their nodes, (n_nodes, 2), row by row, pixels."""

@@ -43,21 +43,22 @@ class Workers(Generic[Held]):
         Each rank does work of its own ``before``. Gives what that returned, and on the leader what ``lead`` did. Raises
         on all ranks what the lowest rank that fails raises.
         """
-        own, error, found = None, None, None
+        is_leader = self.team.rank == self.leader
+        found: Found | None = None
+        error: Exception | None = None
         try:
             own = before()
+            if is_leader:
+                found = lead()
         except Exception as caught:
             error = caught
-        if self.team.rank == self.leader:
-            try:
-                found = lead() if error is None else None
-            except Exception as caught:
-                error = caught
+        if is_leader:
             self.team.scatter([None] * self.team.size, self.leader)
         else:
             self._serve(error)
+        # Does not return where this rank has nothing of its own.
         self.team.share_error(error)
-        return own, found  # type: ignore[return-value]
+        return own, found
 
     def map(self, work: Callable[[Held, Item], Found], items: Sequence[Item]) -> list[Found]:
         """Run a function of a module on each item, in turn on all ranks; called by the leader, inside ``run``.
@@ -69,7 +70,7 @@ class Workers(Generic[Held]):
         shares = np.array_split(np.arange(len(items)), team.size)
         of_ranks = [(work, [items[k] for k in mine]) for mine in shares]
         own = team.scatter(of_ranks, self.leader)
-        outcomes = team.gather_to(self._attempt(own, None), self.leader)
+        outcomes = team.gather_to(self._attempt(own), self.leader)
         found: list[Found] = []
         for outcome in outcomes or ():
             if isinstance(outcome, Exception):
@@ -83,14 +84,13 @@ class Workers(Generic[Held]):
             asked: _Asked | None = self.team.scatter(None, self.leader)
             if asked is None:
                 return
-            self.team.gather_to(self._attempt(asked, error), self.leader)
+            outcome = self._attempt(asked) if error is None else make_portable(error, self.team.rank)
+            self.team.gather_to(outcome, self.leader)
 
-    def _attempt(self, asked: _Asked, error: Exception | None) -> list[Any] | Exception:
+    def _attempt(self, asked: _Asked) -> list[Any] | Exception:
         """What the work gives, or an error as other ranks can receive it."""
-        if error is None:
-            work, items = asked
-            try:
-                return [work(self.held, item) for item in items]
-            except Exception as caught:
-                error = caught
-        return make_portable(error, self.team.rank)
+        work, items = asked
+        try:
+            return [work(self.held, item) for item in items]
+        except Exception as error:
+            return make_portable(error, self.team.rank)

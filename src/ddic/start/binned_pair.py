@@ -17,9 +17,8 @@ from ddic.images.rigid import GridField, fill_absent
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.mesh.cell_parts import Lines
-from ddic.mesh.cell_type import Q4
 from ddic.mesh.grid import GridLines
-from ddic.mesh.mesh import Mesh, build_mesh
+from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 
 CELL = 16
@@ -222,7 +221,7 @@ def build_grid(lines: GridLines, active: NDArray[np.uint8], window: Window) -> B
 
     ``active``, (rows, columns), is 1 on the blocks of a window that count.
     """
-    full = build_mesh(lines.nodes, {Q4: lines.quads})
+    full = lines.build_mesh()
     n_active = rasterize(full).sum_by_cell(active, window.x0, window.y0)
     return BlockGrid(lines, *full.create_submesh(np.flatnonzero(n_active > 0)))
 

@@ -29,7 +29,7 @@ from ddic.problem.region_mesh import list_discontinuities
 from ddic.start.binned_pair import choose_finest_block
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
-from ddic.start.level import Helpers, PairOfRank, hold_rows
+from ddic.start.helpers import Helpers, PairOfRank, hold_rows, split_rows
 from ddic.start.multilevel import MultilevelStart, Pyramid, find_multilevel_start, find_start_from_given
 
 Own = TypeVar("Own")
@@ -78,9 +78,8 @@ class CoarseSearch:
         where there is nothing to search for yet; then nothing is found.
         """
         last = self.team.size - 1
-        looks = frame is not None and (self.section.rigid or self.section.pyramid)
         held = []
-        if frame is not None and looks:
+        if frame is not None and (self.section.rigid or self.section.pyramid):
             held = self.team.together(lambda: [self._hold_band(camera, deformed)
                                                for camera, deformed in zip(self.cameras, frame, strict=True)])
         workers = Workers(self.team, last, held)
@@ -92,9 +91,8 @@ class CoarseSearch:
         """Rows of both images, in the smallest blocks that the start looks at."""
         image = camera.reference.image
         factor = choose_finest_block(image.width * image.height)
-        edges = np.linspace(0, image.height // factor, self.team.size + 1).astype(int)
-        mine = range(int(edges[self.team.rank]), int(edges[self.team.rank + 1]))
-        return hold_rows(camera.reference, deformed, factor, mine)
+        rows_of_ranks = split_rows(image.height // factor, self.team.size)
+        return hold_rows(camera.reference, deformed, factor, rows_of_ranks[self.team.rank])
 
     def require_result(self) -> EarlierResult:
         """Give the earlier result that is kept; raises TypeError where the search does not start from one."""

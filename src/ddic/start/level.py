@@ -6,29 +6,24 @@ that nothing farther off matters, and tiles need not know of each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from ddic.arrays import Array
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.images.binned import BinnedSource, Blocks, bin_rows, join_blocks
 from ddic.images.rigid import GridField
-from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.kinematics.enriched import Discontinuities
-from ddic.mesh.cell_type import Q4
 from ddic.mesh.grid import GridLines
-from ddic.mesh.mesh import Mesh, build_mesh
-from ddic.parallel.workers import Workers
+from ddic.mesh.mesh import Mesh
 from ddic.solvers.correction_size import Tolerances
 from ddic.start.binned_pair import CELL, BinnedPair, BlockGrid, build_grid, choose_grid_lines, make_grid_field
 from ddic.start.coarse_displacement import CoarseField, CutField, LevelMesh, cut_level, evaluate_at_nodes
+from ddic.start.helpers import Helpers, PairOfRank
 from ddic.start.independent import Images, correlate_alone
 
 CUT_OFF = 4.0 * CELL
@@ -66,136 +61,31 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField],
     """
     region = pair.scale(mesh)
     lines = choose_grid_lines(region, pair)
-
-    def evaluate(grid: BlockGrid, cells: LevelMesh) -> list[Array]:
-        in_pixels = pair.scale_to_pixels(cells.mesh)
-        return [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
-
-    grid, cells, displacement = _correlate(pair, region, lines, pair.reference.extent, discontinuities, evaluate,
-                                           correction)
+    grid, cells, images = _open_level(pair, region, lines, pair.reference.extent, discontinuities, correction)
+    in_pixels = pair.scale_to_pixels(cells.mesh)
+    candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
+    displacement = _correlate(images, cells, candidates, pair.factor)
     if cells.mesh.parts is None:
         return make_grid_field(lines, grid.place_on_grid(displacement), pair)
-    in_pixels = pair.scale_to_pixels(cells.mesh)
     return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
 
 
-def _correlate(pair: BinnedPair, region: Mesh, lines: GridLines, window: Window, discontinuities: Discontinuities,
-               evaluate: Callable[[BlockGrid, LevelMesh], list[Array]],
-               correction: GreyCorrection) -> tuple[BlockGrid, LevelMesh, Array]:
-    """The cells of a grid that hold blocks of the region, in a window, and the displacement of their nodes, blocks."""
+def _open_level(pair: BinnedPair, region: Mesh, lines: GridLines, window: Window, discontinuities: Discontinuities,
+                correction: GreyCorrection) -> tuple[BlockGrid, LevelMesh, Images]:
+    """The cells of a grid that hold blocks of the region, in a window, their unknowns, and the images there."""
     active = pair.find_active(region, window)
     if not active.any():
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = build_grid(lines, active, window)
     cells = cut_level(grid.mesh, discontinuities.scale(pair.centre, pair.factor), active, DEGREE)
     images = Images(pair.reference, pair.deformed, active, DEGREE, correction, (window.x0, window.y0))
-    where = f"pyramid level with blocks of {pair.factor} px"
-    displacement = correlate_alone(images, cells, CUT_OFF, TOLERANCES, evaluate(grid, cells), where)
-    return grid, cells, displacement
+    return grid, cells, images
 
 
-@dataclass(frozen=True, eq=False)
-class PairOfRank:
-    """An image pair as a rank reads it: some rows, in small blocks, are in its memory.
-
-    Attributes
-    ----------
-    reference, deformed : MaskedSource
-        The images, in pixels.
-    factor : int
-        Side of the blocks, pixels.
-    first_row : int
-        The first of the rows.
-    held : tuple of Blocks
-        These rows of both images.
-    """
-
-    reference: MaskedSource
-    deformed: MaskedSource
-    factor: int
-    first_row: int
-    held: tuple[Blocks, Blocks]
-
-    def get_pair(self, size: int) -> BinnedPair:
-        """Give both images in blocks of ``size`` pixels, averaged where they are read."""
-        ratio = size // self.factor
-        reference, deformed = (self._get_pair(source, held, ratio)
-                               for source, held in zip((self.reference, self.deformed), self.held, strict=True))
-        return BinnedPair(reference, deformed, size, BinnedPair(self.reference, self.deformed, 1))
-
-    def _get_pair(self, source: MaskedSource, held: Blocks, ratio: int) -> MaskedSource:
-        grey, mask = (BinnedSource(source, held, self.first_row, self.factor, ratio, shows_mask)
-                      for shows_mask in (False, True))
-        return MaskedSource(grey, mask if source.may_exclude else None, excludes_taps=False)
-
-
-def hold_rows(reference: MaskedSource, deformed: MaskedSource, factor: int, rows: range) -> PairOfRank:
-    """Average some rows of both images over blocks, and keep them."""
-    held = (bin_rows(reference, factor, rows), bin_rows(deformed, factor, rows))
-    return PairOfRank(reference, deformed, factor, rows.start, held)
-
-
-Item = TypeVar("Item")
-Found = TypeVar("Found")
-
-
-@dataclass(frozen=True, eq=False)
-class Helpers:
-    """Ranks that read and correlate parts of a camera's images for the one that searches, which is one of them.
-
-    Attributes
-    ----------
-    workers : Workers
-        All ranks, each with its images of every camera.
-    camera : int
-        Number of the camera.
-    """
-
-    workers: Workers[list[PairOfRank]]
-    camera: int
-
-    def get_pair(self, size: int) -> BinnedPair:
-        """Give the images in blocks of ``size`` pixels as this rank sees them, averaged where they are read."""
-        return self.workers.held[self.camera].get_pair(size)
-
-    def read_whole(self, size: int) -> BinnedPair:
-        """Read the images as a whole in blocks of ``size`` pixels into memory, each rank some of their rows."""
-        pair = self.get_pair(size)
-        edges = np.linspace(0, pair.size[1], self.workers.team.size + 1).astype(int).tolist()
-        bands = self.apply(_read_rows, [_Rows(size, begin, end) for begin, end in pairwise(edges)])
-        reference, deformed = (join_blocks(source, [of_band[k] for of_band in bands])
-                               for k, source in enumerate((pair.reference, pair.deformed)))
-        return BinnedPair(reference, deformed, size, pair.pixels)
-
-    def apply(self, work: Callable[[PairOfRank, Item], Found], items: Sequence[Item]) -> list[Found]:
-        """Have all ranks apply a function of a module to their images and to items, in turn."""
-        return self.workers.map(partial(_apply_to_camera, self.camera, work), items)
-
-
-def _apply_to_camera(camera: int, work: Callable[[PairOfRank, Item], Found], images: list[PairOfRank],
-                     item: Item) -> Found:
-    return work(images[camera], item)
-
-
-class _Rows(NamedTuple):
-    """Some rows of blocks."""
-
-    size: int
-    begin: int
-    end: int
-
-
-def _read_rows(images: PairOfRank, rows: _Rows) -> tuple[Blocks, Blocks]:
-    pair = images.get_pair(rows.size)
-    reference, deformed = (_read_blocks(source, source.extent.take_rows(rows.begin, rows.end))
-                           for source in (pair.reference, pair.deformed))
-    return reference, deformed
-
-
-def _read_blocks(source: MaskedSource, window: Window) -> Blocks:
-    mask = source.mask.read(window) if source.mask is not None else None
-    # No mask where nothing is left out, as in an image that one rank bins.
-    return Blocks(source.image.read(window), mask if mask is not None and not mask.all() else None)
+def _correlate(images: Images, cells: LevelMesh, candidates: Sequence[Array], size: int) -> Array:
+    """Displacement of the nodes, blocks of ``size`` pixels, from the best of the candidates."""
+    where = f"pyramid level with blocks of {size} px"
+    return correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,11 +133,10 @@ def correlate_tile(images: PairOfRank, tile: Tile) -> Array | MeasurementError:
     pair = images.get_pair(tile.size)
     window = tile.window.intersection(pair.reference.extent)
 
-    def select(grid: BlockGrid, cells: LevelMesh) -> list[Array]:
-        return [start.reshape(-1, 2)[grid.numbers].ravel() for start in tile.starts]
-
     try:
-        grid, _, displacement = _correlate(pair, tile.region, tile.lines, window, NO_LINES, select, tile.correction)
+        grid, cells, level = _open_level(pair, tile.region, tile.lines, window, NO_LINES, tile.correction)
+        candidates = [start.reshape(-1, 2)[grid.numbers].ravel() for start in tile.starts]
+        displacement = _correlate(level, cells, candidates, tile.size)
     except (ConvergenceError, SingularSubdomainError) as error:
         return error
     return grid.place_on_grid(displacement)[tile.own]
@@ -281,7 +170,7 @@ def correlate_in_tiles(helpers: Helpers, size: int, mesh: Mesh, starts: Sequence
     pair = helpers.get_pair(size)
     region = pair.scale(mesh)
     lines = choose_grid_lines(region, pair)
-    nodes = pair.scale_to_pixels(build_mesh(lines.nodes, {Q4: lines.quads}))
+    nodes = pair.scale_to_pixels(lines.build_mesh())
     shape = (len(lines.y), len(lines.x), 2)
     on_grid = [evaluate_at_nodes(start, nodes).reshape(shape) / pair.factor for start in starts]
     tiles = list(_cut_tiles(size, region, lines, on_grid, correction))

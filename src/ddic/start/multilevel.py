@@ -29,7 +29,8 @@ from ddic.start.binned_pair import (
 )
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, move_field
 from ddic.start.feature_matches import MatchedField, find_pieces, match_features
-from ddic.start.level import LARGEST_WHOLE, NO_LINES, Helpers, correlate_in_tiles, correlate_level
+from ddic.start.helpers import Helpers
+from ddic.start.level import LARGEST_WHOLE, NO_LINES, correlate_in_tiles, correlate_level
 from ddic.start.predicted_error import PredictedError, predict_error
 from ddic.start.rigid_start import RigidStart, find_rigid_start, move_on
 
