@@ -21,6 +21,7 @@ from ddic.parallel.team import Team
 from ddic.problem.reference_problem import ReferenceProblem, build_whole_mesh, prepare_reference
 from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_field import CoarseSearch, fit_found_fields, prepare_search
+from ddic.start.helpers import Helpers
 from ddic.start.multilevel import Pyramid, find_multilevel_start
 from support.cases import WAVES, write_case, write_images
 from support.pictures import rms_error, source, square_mesh
@@ -91,6 +92,20 @@ def test_subdomains_start_from_the_coarse_field_of_the_whole(shared_path: Path) 
         # The pyramid's cells of 16 blocks follow these waves to a tenth of a pixel or so.
         assert rms_error(q, subdomain.mesh.nodes, WAVES) <= 0.2
     assert [word in note for word, note in zip(("rigid shift", "pyramid"), notes, strict=True)] == [True, True]
+
+
+@pytest.mark.parallel(RANKS)
+def test_the_images_are_read_before_ranks_turn_to_work_of_their_own(shared_path: Path,
+                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+    # Else the last rank would wait for rank 0, which splits the mesh, before it begins.
+    team, read = Team(MPI.COMM_WORLD), list[int]()
+    inputs, frame = _inputs(shared_path, team, "")
+    search, _ = _prepare(team, inputs)
+    read_whole = Helpers.read_whole
+    monkeypatch.setattr(Helpers, "read_whole", lambda self, size: read.append(size) or read_whole(self, size))
+    n_read, _ = search.find(frame, lambda: len(read))
+    is_last = team.rank == team.size - 1
+    assert (n_read, len(read)) == ((1, 1) if is_last else (0, 0))
 
 
 def test_zero_is_what_switching_everything_off_comes_to() -> None:

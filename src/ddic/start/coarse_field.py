@@ -83,7 +83,9 @@ class CoarseSearch:
             held = self.team.together(lambda: [self._hold_band(camera, deformed)
                                                for camera, deformed in zip(self.cameras, frame, strict=True)])
         workers = Workers(self.team, last, held)
-        own, found = workers.run(lambda: None if frame is None else self._search(workers), before)
+        # First of all what is looked at as a whole is read, for rank 0 may be long at what it does before.
+        _, pyramids = workers.run(lambda: self._open_pyramids(workers), lambda: None)
+        own, found = workers.run(lambda: None if frame is None else self._search(require_held(pyramids)), before)
         # Not held by the last rank either where there was nothing to search for.
         return own, self.team.broadcast(found, root=last)
 
@@ -100,16 +102,22 @@ class CoarseSearch:
             raise TypeError("only an earlier result is kept")
         return self.given
 
-    def _search(self, workers: Workers[list[PairOfRank]]) -> list[MultilevelStart]:
+    def _open_pyramids(self, workers: Workers[list[PairOfRank]]) -> list[Pyramid]:
+        """The images of each camera in blocks, those in memory that are looked at as a whole; none without images."""
+        pyramids = []
+        for images, camera, (mesh, discontinuities) in zip(workers.held, self.cameras, require_held(self.regions),
+                                                           strict=False):
+            pyramid = Pyramid(images.get_pair(images.factor), mesh, self.correction, discontinuities,
+                              self.section.largest_enriched_block, Helpers(workers, camera.number))
+            pyramid.read_whole(pyramid.rigid_size)
+            pyramids.append(pyramid)
+        return pyramids
+
+    def _search(self, pyramids: Sequence[Pyramid]) -> list[MultilevelStart]:
         """The start of each camera's field; without images what is given, or rest."""
         found = []
-        largest_block = self.section.largest_enriched_block
         for (mesh, discontinuities), camera in zip(require_held(self.regions), self.cameras, strict=True):
-            pyramid = None
-            if workers.held:
-                images = workers.held[camera.number]
-                pyramid = Pyramid(images.get_pair(images.factor), mesh, self.correction, discontinuities, largest_block,
-                                  Helpers(workers, camera.number))
+            pyramid = pyramids[camera.number] if pyramids else None
             if self.given is not None:
                 placed = place_start(self.given, mesh, discontinuities, camera)
                 found.append(self._start_from(self.given, placed, pyramid))
