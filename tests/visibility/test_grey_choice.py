@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ddic.functionals.grey_statistics import GreyCorrection
+from ddic.parallel.team import Team
 from ddic.visibility.match_reference import CELL_SHARE, GLOBAL_SHARE, GROSS_SHARE, choose_correction
 from ddic.visibility.seen_cells import SeenCells, find_typical_cell
 from support.seen import make_seen
@@ -14,8 +15,8 @@ NOISE = 8.0
 
 
 def _choose(cells: dict[int, SeenCells], **limits: GreyCorrection) -> GreyCorrection:
-    typical = {camera: find_typical_cell(of_camera) for camera, of_camera in cells.items()}
-    return choose_correction(cells, typical, **limits)
+    typical = {camera: find_typical_cell(Team.alone(), of_camera) for camera, of_camera in cells.items()}
+    return choose_correction(Team.alone(), cells, typical, **limits)
 
 
 def test_the_same_brightness_needs_nothing() -> None:
@@ -56,7 +57,7 @@ def test_inverted_contrast_is_global() -> None:
     means = np.linspace(60.0, 195.0, 100)
     cells = make_seen(mean_f=means, mean_g=255.0 - means, spread_g=-40.0)
     assert _choose({0: cells}) == "global"
-    typical = find_typical_cell(cells)
+    typical = find_typical_cell(Team.alone(), cells)
     assert (typical.gain, typical.offset) == pytest.approx((-1.0, 255.0))
 
 

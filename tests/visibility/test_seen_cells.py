@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import View
 from ddic.parallel.field import ByView
+from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
-from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, collect_cells, find_typical_cell, measure_seen_cells
+from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, find_typical_cell, measure_seen_cells, sample_cells
 from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
@@ -82,32 +83,32 @@ def test_medians_are_by_pixels_and_texture_that_of_the_best_tenth() -> None:
     cells = make_seen(4, n_pixels=n, variance=[1.0, 2.0, 3.0, 4.0], spread_f=[10.0, 20.0, 30.0, 40.0],
                       spread_g=[5.0, 10.0, 10.0, 20.0], mean_f=[1.0, 2.0, 3.0, 4.0], mean_g=0.0,
                       texture=[1.0, 2.0, 3.0, 400.0])
-    typical = find_typical_cell(cells)
+    typical = find_typical_cell(Team.alone(), cells)
     # More than half of the pixels lie in the third.
     assert (typical.noise, typical.contrast, typical.gain, typical.offset) == (3.0, 900.0, 3.0, 3.0)
     # The last has 7.7 % of them only.
     assert typical.texture == 3.0
     blank = make_seen(100, texture=np.where(np.arange(100) < 85, 2.0, 200.0))
-    assert find_typical_cell(blank).texture == 200.0
+    assert find_typical_cell(Team.alone(), blank).texture == 200.0
 
 
 def test_nothing_is_typical_of_no_cells() -> None:
-    typical = find_typical_cell(make_seen(0))
+    typical = find_typical_cell(Team.alone(), make_seen(0))
     assert (typical.noise, typical.contrast, typical.texture, typical.gain, typical.offset) == (0.0, 0.0, 0.0, 1.0, 0.0)
-    flat = find_typical_cell(make_seen(5, spread_g=0.0, spread_f=0.0, coefficient=0.0))
+    flat = find_typical_cell(Team.alone(), make_seen(5, spread_g=0.0, spread_f=0.0, coefficient=0.0))
     assert (flat.gain, flat.contrast) == (1.0, 0.0)
 
 
-def test_cells_without_pixels_are_not_collected() -> None:
+def test_cells_without_pixels_are_not_sampled() -> None:
     mesh = square_mesh(24.0, 88.0)
     mask = np.ones(PAIR.deformed.shape, dtype=bool)
     mask[:, 70:] = False
     model = model_of(source(PAIR.reference), source(PAIR.deformed, mask), mesh)
     seen = measure(model, np.tile(SHIFT, mesh.n_nodes))
-    (collected,) = collect_cells(model, ByView([[seen]])).values()
-    assert 0 < len(collected.n_pixels) < mesh.n_cells
-    assert (collected.n_pixels > 0).all()
-    assert collected.n_pixels.sum() == seen.n_pixels.sum()
-    assert len(seen.choose(seen.n_pixels > 0).variance) == len(collected.n_pixels)
+    (sampled,) = sample_cells(model, ByView([[seen]])).values()
+    assert 0 < len(sampled.n_pixels) < mesh.n_cells
+    assert (sampled.n_pixels > 0).all()
+    assert sampled.n_pixels.sum() == seen.n_pixels.sum()
+    assert len(seen.choose(seen.n_pixels > 0).variance) == len(sampled.n_pixels)
     # Nothing is nan where there is no pixel.
     assert all(np.isfinite(getattr(seen, name)).all() for name in ("variance", "mean_f", "spread_g", "coefficient"))

@@ -157,23 +157,23 @@ def _add_up(nodes: IntArray, values: Array) -> Array:
     return np.asarray(added[number])
 
 
-GATHERED = 2**14
+GATHERED = 2**8
 """Values of all ranks that each of them may hold. A larger number takes less time on few ranks, more on many."""
 
 N_INTERVALS = 1024
 """Intervals in which the weight of more values than that is counted at once: what ranks send, 16 kB."""
 
 
-def find_median_of_all(team: Team, values: Array, weights: Array) -> float | None:
-    """Find the value below which lies half of the weight of all ranks' values; None without any weight; collective.
+def find_quantile_of_all(team: Team, values: Array, weights: Array, share: float = 0.5) -> float | None:
+    """Find the value below which lies a share of the weight of all ranks' values; None without weight; collective.
 
     Of many values ranks agree on the interval that holds it, and within that on another one, until few are left. Whole
-    numbers as ``weights`` give the same median on any number of ranks; values are finite, both are (n,).
+    numbers as ``weights`` give the same value on any number of ranks; values are finite, both are (n,).
     """
     total, n_left = team.sum(np.array([weights.sum(), len(values)]))
     if total == 0:
         return None
-    left = 0.5 * total
+    left = share * total
     while n_left > GATHERED:
         low = -team.maximum(-float(values.min(initial=np.inf)))
         high = team.maximum(float(values.max(initial=-np.inf)))

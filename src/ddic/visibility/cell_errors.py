@@ -12,7 +12,7 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Residual
 from ddic.functionals.view import View
 from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
-from ddic.parallel.distribution import find_median_of_all
+from ddic.parallel.distribution import find_quantile_of_all
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import find_displaced_nodes, find_unseen_unknowns
@@ -111,7 +111,7 @@ def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[Cel
         variances, n_pixels = (np.concatenate([np.zeros(0), *arrays]) for arrays in (
             [of_cells.variance for of_cells in mine], [of_cells.n_pixels for of_cells in mine]))
         measured = np.isfinite(variances)
-        noise.append(find_median_of_all(team, variances[measured], n_pixels[measured]) or 0.0)
+        noise.append(find_quantile_of_all(team, variances[measured], n_pixels[measured]) or 0.0)
     return [_find_errors(of_cells, noise[of_cells.camera]) for of_cells in residuals]
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ddic.arrays import Array, BoolArray
-from ddic.functionals.grey_statistics import GreyCorrection, find_weighted_median
+from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.functionals.view import FrameView
 from ddic.images.binned import BLUR_NOTE, Blur, BlurredSource
 from ddic.images.sub_image import MaskedSource, read_reference
@@ -23,7 +23,7 @@ from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.plane import build_rotation
 from ddic.mesh.raster import list_pixels
-from ddic.parallel.distribution import sum_shared_nodes
+from ddic.parallel.distribution import find_quantile_of_all, sum_shared_nodes
 from ddic.parallel.field import ByView, add_views
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
@@ -125,33 +125,37 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
     return replace(view, correlation=replace(correlation, reference=image.correct_light(removed)))
 
 
-def choose_correction(cells: Mapping[int, SeenCells], typical: Mapping[int, TypicalCell],
+def choose_correction(team: Team, cells: Mapping[int, SeenCells], typical: Mapping[int, TypicalCell],
                       least: GreyCorrection = "none", most: GreyCorrection = "element") -> GreyCorrection:
-    """Choose the simplest correction of grey levels, one for all cameras, that leaves no more than noise.
+    """Choose the simplest correction of grey levels, one for all cameras, that leaves no more than noise; collective.
 
     Means and standard deviations are compared, which a displacement that is still wrong hardly changes, and medians
-    over cells, which a hidden part does not change. ``least`` was chosen before, never less than which is chosen;
-    ``most`` is the most that can be.
+    over all ranks' cells, which a hidden part does not change. ``cells`` are this rank's; ``least`` was chosen before,
+    never less than which is chosen; ``most`` is the most that can be.
     """
-    wanted = [_choose(of_camera, typical[camera]) for camera, of_camera in cells.items() if len(of_camera.n_pixels)]
+    wanted = [_choose(team, of_camera, typical[camera]) for camera, of_camera in cells.items()]
     chosen = max([least, *wanted], key=ORDER.index)
     return min(chosen, most, key=ORDER.index)
 
 
-def _choose(cells: SeenCells, typical: TypicalCell) -> GreyCorrection:
+def _choose(team: Team, cells: SeenCells, typical: TypicalCell) -> GreyCorrection:
     n = cells.n_pixels
-    change_of_mean = find_weighted_median(cells.mean_f - cells.mean_g, n)
-    change_of_spread = find_weighted_median(cells.spread_f - cells.spread_g, n)
+    most_have = find_quantile_of_all(team, n, np.ones(len(n)))
+    if most_have is None:
+        return "none"
+    change_of_mean, change_of_spread = (
+        find_quantile_of_all(team, of_f - of_g, n) or 0.0
+        for of_f, of_g in [(cells.mean_f, cells.mean_g), (cells.spread_f, cells.spread_g)])
     least = max(GLOBAL_SHARE * typical.noise, LEAST_CHANGE**2 * typical.contrast)
     is_whole = change_of_mean**2 + change_of_spread**2 > least
     correction = (typical.gain, typical.offset) if is_whole else (1.0, 0.0)
-    if np.median(n) >= FEWEST_PIXELS and _differ(cells, correction, typical):
+    if most_have >= FEWEST_PIXELS and _differ(team, cells, correction, typical):
         return "element"
     return "global" if is_whole else "none"
 
 
-def _differ(cells: SeenCells, correction: tuple[float, float], typical: TypicalCell) -> bool:
-    """Whether the brightness changes otherwise in some cells than in most."""
+def _differ(team: Team, cells: SeenCells, correction: tuple[float, float], typical: TypicalCell) -> bool:
+    """Whether the brightness changes otherwise in some cells than in most; collective."""
     noise, (gain, offset) = typical.noise, correction
     squared = ((cells.mean_f - gain * cells.mean_g - offset)**2
                + (cells.spread_f - gain * cells.spread_g)**2)
@@ -159,10 +163,11 @@ def _differ(cells: SeenCells, correction: tuple[float, float], typical: TypicalC
     is_explained = cells.variance <= GROSS * noise
     n = cells.n_pixels
     is_gross = is_explained & (squared > max(GROSS * noise, LEAST_GROSS**2 * typical.contrast))
-    if n[is_gross].sum() > GROSS_SHARE * n.sum():
+    of_gross, of_all, explained, change = team.sum(np.array(
+        [n[is_gross].sum(), n.sum(), n[is_explained].sum(), (n * squared)[is_explained].sum()]))
+    if of_gross > GROSS_SHARE * of_all:
         return True
-    mean_square = float((n * squared)[is_explained].sum() / max(n[is_explained].sum(), 1.0))
-    return mean_square > max(CELL_SHARE * noise, LEAST_CHANGE**2 * typical.contrast)
+    return bool(change / max(explained, 1.0) > max(CELL_SHARE * noise, LEAST_CHANGE**2 * typical.contrast))
 
 
 def match_sharpness(whole: ResidualModel, cameras: Sequence[Camera], q: Sequence[Array],

@@ -39,7 +39,7 @@ from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, estimate_rest_noise
 from ddic.images.window import Window
 from ddic.io.image_file import hold_image
 from ddic.mesh.quality import measure_covered_areas
-from ddic.parallel.distribution import find_median_of_all
+from ddic.parallel.distribution import find_quantile_of_all
 from ddic.parallel.field import ByView, Field, add_views
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -352,7 +352,7 @@ def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Fiel
         found.append(variances[n > 1])
     variances = np.concatenate(found)
     ones = np.ones(len(variances))
-    lower, negative_upper = (find_median_of_all(model.team, sign * variances, ones) for sign in (1.0, -1.0))
+    lower, negative_upper = (find_quantile_of_all(model.team, sign * variances, ones) for sign in (1.0, -1.0))
     # The two middle ones of an even number.
     return 0.0 if lower is None or negative_upper is None else float(np.sqrt(0.5 * (lower - negative_upper)))
 

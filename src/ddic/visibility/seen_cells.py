@@ -9,9 +9,11 @@ import numpy as np
 
 from ddic.arrays import Array, BoolArray
 from ddic.functionals.correlation import Residual
-from ddic.functionals.grey_statistics import find_flat, find_weighted_median, find_weighted_quantile
+from ddic.functionals.grey_statistics import find_flat
 from ddic.functionals.view import CellSlopes, FrameView
+from ddic.parallel.distribution import find_quantile_of_all
 from ddic.parallel.field import ByView
+from ddic.parallel.team import Team
 from ddic.problem.residual_model import Evaluation, ResidualModel
 
 FEWEST_PIXELS = 36
@@ -158,20 +160,20 @@ def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     return np.asarray(np.einsum("ci,ci->c", b, translation))
 
 
-def collect_cells(whole: ResidualModel, seen: ByView[SeenCells]) -> dict[int, SeenCells]:
-    """Gather cells with pixels from all ranks, by camera, not more than medians need; collective.
+def sample_cells(whole: ResidualModel, seen: ByView[SeenCells]) -> dict[int, SeenCells]:
+    """Choose from this rank's cells with pixels, by camera, not more than medians of all ranks' need; collective.
 
-    They are the same on all ranks, and on any number of ranks but for the order.
+    All ranks' together are the same on any number of ranks.
     """
-    team, subdomains = whole.team, whole.subdomains
-    n_cells = team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
+    subdomains = whole.subdomains
+    n_cells = whole.team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
     step = max(1, int(n_cells) // ENOUGH_CELLS)
     are_sampled = whole.views.fill([subdomain.cell_ids % step == 0 for subdomain in subdomains])
     chosen = seen.map(lambda cells, is_sampled: cells.choose(is_sampled & (cells.n_pixels > 0)), are_sampled)
-    mine = [(view.camera, cells) for view, cells in zip(whole.views.flat, chosen.flat, strict=True)]
-    by_camera: dict[int, list[SeenCells]] = {}
-    for camera, cells in team.gather_lists(mine):
-        by_camera.setdefault(camera, []).append(cells)
+    none = SeenCells(*(np.empty(0) for _ in fields(SeenCells)))
+    by_camera = {camera: [none] for camera in range(whole.n_cameras)}
+    for view, cells in zip(whole.views.flat, chosen.flat, strict=True):
+        by_camera[view.camera].append(cells)
     return {camera: _join(parts) for camera, parts in by_camera.items()}
 
 
@@ -179,25 +181,29 @@ def _join(parts: Sequence[SeenCells]) -> SeenCells:
     return SeenCells(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(SeenCells)))
 
 
-def find_typical_cell(cells: SeenCells) -> TypicalCell:
-    """Find what most of some cells with pixels are like; zeros, and no correction, where there are no cells."""
-    n = cells.n_pixels
-    if not len(n):
-        return TypicalCell(0.0, 0.0, 0.0, 1.0, 0.0)
-    gain, varies = 1.0, cells.spread_g != 0
-    if varies.any():
-        gain = find_weighted_median(cells.spread_f[varies] / cells.spread_g[varies], n[varies])
-    offset = find_weighted_median(cells.mean_f - gain * cells.mean_g, n)
-    return TypicalCell(find_weighted_median(cells.unexplained, n), find_weighted_median(cells.spread_f, n)**2,
-                       find_weighted_quantile(cells.texture, n, TEXTURED), gain, offset)
+def find_typical_cell(team: Team, cells: SeenCells) -> TypicalCell:
+    """Find what most of all ranks' cells with pixels are like, of which ``cells`` are this rank's; collective.
+
+    Zeros, and no correction, where there are no cells.
+    """
+    n, varies = cells.n_pixels, cells.spread_g != 0
+
+    def find(values: Array, share: float = 0.5) -> float:
+        return find_quantile_of_all(team, values, n, share) or 0.0
+
+    gain = find_quantile_of_all(team, cells.spread_f[varies] / cells.spread_g[varies], n[varies])
+    # Where nothing varies, nothing tells it.
+    gain = 1.0 if gain is None else gain
+    offset = find(cells.mean_f - gain * cells.mean_g)
+    return TypicalCell(find(cells.unexplained), find(cells.spread_f)**2, find(cells.texture, TEXTURED), gain, offset)
 
 
 def see_cells(whole: ResidualModel, evaluation: Evaluation, slopes: ByView[CellSlopes],
               ) -> tuple[ByView[SeenCells], dict[int, SeenCells], dict[int, TypicalCell]]:
-    """Measure the cells of owned subdomains; with a sample of all ranks' cells, and what most are like, by camera."""
+    """Measure the cells of owned subdomains; with a sample of them, and what most of all ranks' are like, by camera."""
     seen = measure_seen_cells(whole, evaluation, slopes)
-    sample = collect_cells(whole, seen)
-    return seen, sample, {camera: find_typical_cell(cells) for camera, cells in sample.items()}
+    sample = sample_cells(whole, seen)
+    return seen, sample, {camera: find_typical_cell(whole.team, cells) for camera, cells in sample.items()}
 
 
 def find_blank(cells: SeenCells, typical: TypicalCell) -> BoolArray:
