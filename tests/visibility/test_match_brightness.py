@@ -15,7 +15,7 @@ from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.match_reference import match_brightness
-from ddic.visibility.seen_cells import find_typical_cell, measure_seen_cells, sample_cells
+from ddic.visibility.seen_cells import find_typical_cell, measure_seen_cells, choose_sample
 from support.cases import write_case
 from support.fields import field_of
 from support.measuring import field_on_one_rank, measure, whole_field
@@ -51,7 +51,7 @@ def match(light: Image, hidden: tuple[slice, ...] = ()) -> tuple[ResidualModel, 
     q = field_of(model, [np.tile(SHIFT, MESH.n_nodes)])
     slopes = model.views.map(View.measure_slopes)
     seen = measure_seen_cells(model, model.evaluate(q), slopes)
-    typical = {camera: find_typical_cell(model.team, cells) for camera, cells in sample_cells(model, seen).items()}
+    typical = {camera: find_typical_cell(model.team, cells) for camera, cells in choose_sample(model, seen).items()}
     return model, match_brightness(model, seen, typical)
 
 

@@ -12,7 +12,7 @@ from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
-from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, find_typical_cell, measure_seen_cells, sample_cells
+from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, find_typical_cell, measure_seen_cells, choose_sample
 from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
@@ -105,7 +105,7 @@ def test_cells_without_pixels_are_not_sampled() -> None:
     mask[:, 70:] = False
     model = model_of(source(PAIR.reference), source(PAIR.deformed, mask), mesh)
     seen = measure(model, np.tile(SHIFT, mesh.n_nodes))
-    (sampled,) = sample_cells(model, ByView([[seen]])).values()
+    (sampled,) = choose_sample(model, ByView([[seen]])).values()
     assert 0 < len(sampled.n_pixels) < mesh.n_cells
     assert (sampled.n_pixels > 0).all()
     assert sampled.n_pixels.sum() == seen.n_pixels.sum()

@@ -160,7 +160,7 @@ def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
     return np.asarray(np.einsum("ci,ci->c", b, translation))
 
 
-def sample_cells(whole: ResidualModel, seen: ByView[SeenCells]) -> dict[int, SeenCells]:
+def choose_sample(whole: ResidualModel, seen: ByView[SeenCells]) -> dict[int, SeenCells]:
     """Choose from this rank's cells with pixels, by camera, not more than medians of all ranks' need; collective.
 
     All ranks' together are the same on any number of ranks.
@@ -202,7 +202,7 @@ def see_cells(whole: ResidualModel, evaluation: Evaluation, slopes: ByView[CellS
               ) -> tuple[ByView[SeenCells], dict[int, SeenCells], dict[int, TypicalCell]]:
     """Measure the cells of owned subdomains; with a sample of them, and what most of all ranks' are like, by camera."""
     seen = measure_seen_cells(whole, evaluation, slopes)
-    sample = sample_cells(whole, seen)
+    sample = choose_sample(whole, seen)
     return seen, sample, {camera: find_typical_cell(whole.team, cells) for camera, cells in sample.items()}
 
 
