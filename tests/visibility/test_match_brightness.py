@@ -15,7 +15,7 @@ from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
 from ddic.visibility.match_reference import match_brightness
-from ddic.visibility.seen_cells import find_typical_cell, measure_seen_cells, choose_sample
+from ddic.visibility.seen_cells import choose_sample, find_typical_cell, measure_seen_cells
 from support.cases import write_case
 from support.fields import field_of
 from support.measuring import field_on_one_rank, measure, whole_field

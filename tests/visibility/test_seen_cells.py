@@ -12,7 +12,7 @@ from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
-from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, find_typical_cell, measure_seen_cells, choose_sample
+from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, choose_sample, find_typical_cell, measure_seen_cells
 from support.fields import field_of
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
