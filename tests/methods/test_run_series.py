@@ -13,8 +13,10 @@ import tifffile
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ddic.errors import ConvergenceError, InputError, StoppedError
+from ddic.case.loader import load_case
+from ddic.errors import ConvergenceError, InputError, StoppedError, as_collective
 from ddic.io.series_reader import SeriesResult, read_series
+from ddic.methods import series as series_of_frames
 from ddic.methods.run import run_case, run_file
 from ddic.parallel.team import Team
 from ddic.results.listener import Silence
@@ -132,6 +134,81 @@ def test_a_signal_ends_it_after_the_frame_at_hand(shared_path: Path, whole: Path
     resumed = read_series(parts.parent / "result.vtkhdf")
     for step in range(N_FRAMES):
         np.testing.assert_array_equal(displacement(resumed, step), displacement(expected, step))
+
+
+@pytest.mark.parallel([2, 4])
+def test_groups_measure_what_one_group_does(shared_path: Path) -> None:
+    """Frames that are searched for depend on nothing but their images, hence are the same to the last bit."""
+    team = Team.world()
+    searched = TIGHT + '[series]\nstart = "search"\n'
+    grouped = write_frames(shared_path / "grouped", searched + "groups = 2\n")
+    assert [frame.number for frame in run(grouped).frames] == [1, 2, 3, 4]
+    alone = write_frames(shared_path / "alone", searched)
+    with team.in_groups(2) as (group, own):
+        # As many ranks as each group had.
+        if group == 0:
+            run_file(own, alone, Silence())
+    team.comm.barrier()
+    found, expected = (read_series(path.parent / "result.vtkhdf") for path in (grouped, alone))
+    for step in range(N_FRAMES):
+        np.testing.assert_array_equal(displacement(found, step), displacement(expected, step))
+    assert not (grouped.parent / "result.frames").exists()
+
+
+@pytest.mark.parallel([2])
+def test_a_part_of_the_frames_is_tracked_and_resumed_by_its_group(shared_path: Path) -> None:
+    team = Team.world()
+    path = write_frames(shared_path / "parts", TIGHT + "[series]\ngroups = 2\n")
+    whole = run(path)
+    assert [frame.started_from for frame in whole.frames] == ["a search", "the last frame"] * 2
+    expected = read_series(path.parent / "result.vtkhdf")
+    # The second group alone is asked, and stops after its first frame.
+    again = write_frames(shared_path / "again", TIGHT + "[series]\ngroups = 2\n")
+    team.stop.asked = team.rank == 1
+    with pytest.raises(StoppedError, match="after 3 of 4 frames"):
+        run_file(team, again, Silence())
+    team.stop.asked = False
+    team.comm.barrier()
+    assert run(again, resume=True).n_resumed == 3
+    found = read_series(again.parent / "result.vtkhdf")
+    for step in range(N_FRAMES):
+        np.testing.assert_array_equal(displacement(found, step), displacement(expected, step))
+
+
+@pytest.mark.parallel([2])
+def test_an_error_of_one_group_is_raised_on_all_ranks(shared_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    measure = series_of_frames.measure_frames
+
+    def fail_late(team: Team, images: Any, numbers: list[int], *rest: Any) -> Any:
+        if numbers[0] > 1:
+            raise as_collective(InputError("no frame of the second group"))
+        return measure(team, images, numbers, *rest)
+
+    monkeypatch.setattr(series_of_frames, "measure_frames", fail_late)
+    path = write_frames(shared_path, TIGHT + "[series]\ngroups = 2\n")
+    with pytest.raises(InputError, match="no frame of the second group"):
+        run_file(Team.world(), path, Silence())
+    # What the other group has measured is kept.
+    assert len(list((path.parent / "result.frames").glob("*.vtkhdf"))) == 2
+
+
+@pytest.mark.parametrize(("more", "reason"), [
+    ("groups = 5\n", "5 groups for 4 images"),
+    ('groups = 2\nincremental = "always"\n', 'goes with series.incremental = "never"'),
+    ('groups = 2\n[[near]]\nreference = "f.tif"\ndeformed = ["f.tif", "f.tif", "f.tif", "f.tif"]\n'
+     "ratio = 1.0\noffset = [0, 0]\nregion = [40, 40, 80, 80]\n", r"leave groups or \[\[near\]\] out"),
+], ids=["many", "updates", "cameras"])
+def test_what_does_not_go_with_groups_is_refused(tmp_path: Path, more: str, reason: str) -> None:
+    path = write_frames(tmp_path, TIGHT + "[series]\n" + more)
+    with pytest.raises(InputError, match=rf"series\.groups.*{reason}"):
+        load_case(path)
+
+
+@pytest.mark.parallel([3])
+def test_ranks_that_make_no_equal_groups_are_refused(shared_path: Path) -> None:
+    path = write_frames(shared_path, TIGHT + "[series]\ngroups = 2\n")
+    with pytest.raises(InputError, match=r"series.groups: 2 equal groups cannot be made of 3 MPI ranks"):
+        run_file(Team.world(), path, Silence())
 
 
 def check_resumed(whole: Path, parts: Path) -> None:

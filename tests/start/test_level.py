@@ -17,7 +17,7 @@ from ddic.kinematics.enriched import Discontinuities
 from ddic.parallel.team import Team, require_held
 from ddic.parallel.workers import Workers
 from ddic.start import binned_pair, level, multilevel
-from ddic.start.binned_pair import BinnedPair
+from ddic.start.binned_pair import BinnedPair, choose_block_sizes, choose_further_block_sizes, choose_held_block
 from ddic.start.coarse_displacement import CutField
 from ddic.start.helpers import Helpers, hold_rows, split_rows
 from ddic.start.level import TiledLevel, correlate_in_tiles, correlate_level
@@ -117,6 +117,16 @@ def test_several_ranks_go_on_to_finer_levels_than_one_would(monkeypatch: pytest.
     errors = [rms_error(found.field.at(mesh.nodes), mesh.nodes, FIELD) for found in (start, alone)]
     # Cells of 64 px follow these waves to 0.06 px, of 512 px not at all.
     assert (errors[0] <= 0.08, errors[1] >= 0.3) == (True, True)
+
+
+@pytest.mark.parametrize("side", [600, 1000, 5000, 9000, 22000, 31700, 100_000])
+def test_blocks_of_every_level_are_made_of_those_that_ranks_hold(side: int) -> None:
+    sizes = choose_block_sizes(side**2, square_mesh(0.0, float(side), side / 2))
+    sizes += choose_further_block_sizes(sizes)
+    held = choose_held_block(side**2)
+    assert [size % held for size in sizes] == [0] * len(sizes)
+    # From 64 Mpx on one rank would stop at larger blocks.
+    assert sizes[-1] == (8 if side > 5000 else 2 * held if held == 1 else held)
 
 
 def test_levels_that_lines_cut_are_not_tiled(monkeypatch: pytest.MonkeyPatch) -> None:

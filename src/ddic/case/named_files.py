@@ -151,6 +151,16 @@ def _list_contradictions(case: Case) -> Iterator[str]:
                "discontinuity.vertices")
     if case.series.incremental != "never":
         yield from _list_refused_by_updates(case)
+    yield from _list_refused_by_groups(case, n_frames)
+
+
+def _list_refused_by_groups(case: Case, n_frames: int) -> Iterator[str]:
+    """What does not go with frames that groups of ranks measure."""
+    n_groups = case.series.groups
+    if n_groups > n_frames:
+        yield f"series.groups: {n_groups} groups for {n_frames} images; ask for fewer"
+    if n_groups > 1 and case.near:
+        yield "series.groups: the first frame of all weights the cameras by its noise; leave groups or [[near]] out"
 
 
 def _list_refused_by_updates(case: Case) -> Iterator[str]:

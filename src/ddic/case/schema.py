@@ -574,9 +574,15 @@ class SeriesSection(Section):
     update_after: Annotated[int, Field(ge=1)] = 1
     """With `incremental = "always"`: frames that are compared with one reference image."""
 
+    groups: Annotated[int, Field(ge=1)] = 1
+    """Groups of MPI ranks that measure a part of the frames each, all at the same time: where a frame does not keep all
+    ranks busy ([series.md](series.md#many-ranks)). The number of ranks is a multiple of it."""
+
     def _list_contradictions(self) -> Iterator[str]:
         if "update_after" in self.model_fields_set and self.incremental != "always":
             yield 'series.update_after goes with series.incremental = "always"'
+        if self.groups > 1 and self.incremental != "never":
+            yield 'series.groups goes with series.incremental = "never": an update depends on all frames before it'
 
 
 class OutputSection(Section):

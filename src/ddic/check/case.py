@@ -153,6 +153,8 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     ranks. Raises InputError with all problems, one line each.
     """
     case, problems = loaded.case, Problems()
+    if n_ranks is not None:
+        n_ranks = count_ranks_of_group(loaded, n_ranks)
     for line in list_unused_keys(case):
         warnings.warn(f"{loaded.path}: {line}", UserWarning, stacklevel=2)
     reference, *_ = [check_images(section, problems) for section in list_cameras(case)]
@@ -181,6 +183,15 @@ def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, probl
             check_start_points(points, reference.width, reference.height)
         return points
     return None
+
+
+def count_ranks_of_group(loaded: LoadedCase, n_ranks: int) -> int:
+    """Count the ranks that measure a frame, of all ranks; refuse, with an InputError, what has no equal groups."""
+    n_groups = loaded.case.series.groups
+    if n_ranks % n_groups:
+        raise InputError(f"{loaded.path}: series.groups: {n_groups} equal groups cannot be made of {n_ranks} MPI "
+                         f"ranks; start a multiple of {n_groups} ranks, or ask for another number of groups")
+    return n_ranks // n_groups
 
 
 def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:

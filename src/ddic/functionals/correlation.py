@@ -186,14 +186,26 @@ class Residual:
 
     Attributes
     ----------
-    moments : (n_cells, 3, 2, 4) array
-        Sums of (r, g, 1) x grad f x monomials, r = f - g(x + u); the last two are 0 where they were not asked for.
+    moments : (n_cells, 1 or 3, 2, 4) array
+        Sums of (r, g, 1) x grad f x monomials, r = f - g(x + u); without the last two where they were not asked for.
     cell_sums : GreySums
         Of every cell, (n_cells, 6).
     """
 
     moments: Array
     cell_sums: GreySums
+
+    def correct_moments(self, gain: Array | float, offset: Array | float) -> Array:
+        """Give the moments of f - gain g(x + u) - offset, (n_cells, 2, 4); gain and offset are one number or by cell.
+
+        All kinds are there where gain is not 1 or offset not 0.
+        """
+        moments = self.moments
+        if np.all(np.equal(gain, 1.0)) and not np.any(offset):
+            return moments[:, 0]
+        excess = np.broadcast_to(np.asarray(gain) - 1.0, len(moments))[:, None, None]
+        shift = np.broadcast_to(np.asarray(offset), len(moments))[:, None, None]
+        return np.asarray(moments[:, 0] - excess * moments[:, 1] - shift * moments[:, 2])
 
     @property
     def sums(self) -> GreySums:
@@ -344,7 +356,8 @@ class Correlation:
         """
         n_cells = self.mesh.n_cells
         displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
-        sums = kernels.CellSums(np.empty((n_cells, 3, 2, 4)), np.empty((n_cells, kernels.N_SUMS)))
+        n_kinds = 3 if all_kinds else 1
+        sums = kernels.CellSums(np.empty((n_cells, n_kinds, 2, 4)), np.empty((n_cells, kernels.N_SUMS)))
         for values in sums:
             # np.zeros would have the system clear small pages one by one while the kernel runs, a tenth of its time.
             values.fill(0.0)
@@ -376,15 +389,9 @@ class Correlation:
 
     def _correct_moments(self, residual: Residual, gain: Array | float, offset: Array | float) -> Array:
         """Moments of f - gain g(x + u) - offset against grad f, moved where it is asked for, (n_cells, 2, 4)."""
-        moments = residual.moments
         if self.inverse_deformations is not None:
-            moments = map_moments(self.inverse_deformations, moments)
-        of_r, of_g, of_one = moments[:, 0], moments[:, 1], moments[:, 2]
-        if np.all(np.equal(gain, 1.0)) and not np.any(offset):
-            return of_r
-        excess = np.broadcast_to(np.asarray(gain) - 1.0, len(moments))[:, None, None]
-        shift = np.broadcast_to(np.asarray(offset), len(moments))[:, None, None]
-        return np.asarray(of_r - excess * of_g - shift * of_one)
+            residual = replace(residual, moments=map_moments(self.inverse_deformations, residual.moments))
+        return residual.correct_moments(gain, offset)
 
     def compute_residual_image(self, deformed: DeformedSubImage, q: Array,
                                gain: Array | float = 1.0,

@@ -175,7 +175,7 @@ class CellSums(NamedTuple):
 
     Attributes
     ----------
-    moments : (n_cells, 3, 2, 4) float64 array
+    moments : (n_cells, 1 or 3, 2, 4) float64 array
         Sums of (r, g, 1) x (f_x, f_y) x (1, xi, eta, xi eta), r = f - g(x + u).
     grey : (n_cells, 6) float64 array
         Sums of (1, r, g, r^2, g^2, r g).
@@ -795,7 +795,7 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
 
     ``displacement`` holds the coefficients of u on the monomials, (n_cells, 2, 4), pixels; ``deformed`` is a window of
     g that holds all x + u(x) that lie in the image. With ``all_kinds`` the moments of g and of 1 are accumulated too,
-    which a grey correction needs.
+    which a grey correction needs, and for which ``sums`` has room.
     """
     scratch = _new_scratch()
     flat_geometry = cells.geometry.reshape(-1)
@@ -805,7 +805,7 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
         if visit + AHEAD < len(cells.order):
             later = _U(cells.order[visit + AHEAD])
             _fetch_numbers(flat_geometry, later, 8)
-            _fetch_numbers(flat_moments, later, 24)
+            _fetch_numbers(flat_moments, later, 24 if all_kinds else 8)
             _fetch_numbers(flat_grey, later, N_SUMS)
         demand = _demand(cells, displacement, reference, deformed, visit)
         place = _begin_cell(cells, e)

@@ -74,12 +74,7 @@ def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bo
     origin = _describe_origin(loaded)
     texts = team.on_root(lambda: folder.begin(origin, resume=resume))
     finished = {number: FrameRecord.from_json(text) for number, text in texts.items()}
-    numbers = [number for number in range(1, n_frames + 1) if number not in finished]
-    records = list(finished.values())
-    if numbers:
-        before = [finished[number] for number in sorted(finished) if number < numbers[0]]
-        images = _open_series(team, loaded, numbers[0], listener)
-        records += measure_frames(team, images, numbers, before, folder)
+    records = [*finished.values(), *_measure_in_groups(team, loaded, finished, folder, listener)]
     records.sort(key=lambda record: record.number)
     summary = SeriesSummary(records, n_frames, str(file), time.perf_counter() - began, len(finished),
                             {"path": str(loaded.path), "toml": loaded.text})
@@ -89,6 +84,35 @@ def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bo
     if summary.failures:
         raise as_collective(ConvergenceError(_describe_failures(summary)))
     return summary
+
+
+def _measure_in_groups(team: Team, loaded: LoadedCase, finished: Mapping[int, FrameRecord], folder: SeriesFolder,
+                       listener: Listener) -> list[FrameRecord]:
+    """Measure the frames that are not finished, each group of ranks a part of them that follow each other; collective.
+
+    Returns the record of each on all ranks. Raises what ``measure_frames`` does, once all groups are done.
+    """
+    n_groups, error = loaded.case.series.groups, None
+    records: list[FrameRecord] = []
+    with team.in_groups(n_groups) as (group, own):
+        first, end = (1 + folder.n_frames * k // n_groups for k in (group, group + 1))
+        part = range(first, end)
+        numbers = [number for number in part if number not in finished]
+        if numbers:
+            before = [finished[number] for number in part if number < numbers[0]]
+            try:
+                images = _open_series(own, loaded, numbers[0], listener)
+                if n_groups > 1:
+                    listener.note(f"{n_groups} groups of {own.size} ranks measure; this one frames {first}-{end - 1}")
+                records = measure_frames(own, images, numbers, before, folder)
+            except (DdicError, OSError) as caught:
+                # An error of this rank alone ends all; with one group it is that of all ranks already.
+                if n_groups == 1 or not is_collective(caught):
+                    raise
+                error = caught
+        is_first = own.is_root
+    team.share_error(error)
+    return records if n_groups == 1 else team.gather_lists(records if is_first else [])
 
 
 def _describe_origin(loaded: LoadedCase) -> dict[str, object]:

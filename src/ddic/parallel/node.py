@@ -33,8 +33,7 @@ def measure_available_memory(team: Team) -> int:
     It is the same on all ranks: the least of what a node has left over its ranks, and of what a limit of the rank
     itself (``ulimit -v``) leaves.
     """
-    with team.of_this_node() as node:
-        share = read_available_memory() // node.size
+    share = read_available_memory() // team.count_beside()
     return -team.maximum(-min(share, _read_own_limit()))
 
 

@@ -10,7 +10,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -152,11 +152,14 @@ class Team:
         What this rank has spent in the operations, by which a busy rank is told from one that waits for it.
     stop : StopRequest
         Whether this rank was asked to stop; ``is_stop_asked`` tells all ranks.
+    beside : int
+        Of one group among others: ranks that share this rank's memory; 0 where there are no groups.
     """
 
     comm: MPI.Comm
     waiting: Waiting = field(default_factory=Waiting, compare=False, repr=False)
     stop: StopRequest = field(default_factory=StopRequest, compare=False, repr=False)
+    beside: int = field(default=0, compare=False, repr=False)
 
     @classmethod
     def world(cls) -> Team:
@@ -418,9 +421,34 @@ class Team:
         with self._all_here():
             comm = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
         try:
-            yield Team(comm, self.waiting, self.stop)
+            yield replace(self, comm=comm)
         finally:
             comm.Free()
+
+    @contextmanager
+    def in_groups(self, n_groups: int) -> Iterator[tuple[int, Team]]:
+        """Split the ranks into groups of neighbours that work by themselves, and end them; collective.
+
+        Gives the number of this rank's group and its team, whose waiting counts as this team's.
+        """
+        if n_groups == 1:
+            yield 0, self
+            return
+        beside = self.count_beside()
+        number = self.rank * n_groups // self.size
+        with self._all_here():
+            comm = self.comm.Split(number)
+        try:
+            yield number, replace(self, comm=comm, beside=beside)
+        finally:
+            comm.Free()
+
+    def count_beside(self) -> int:
+        """Count the ranks that share this rank's memory, it and those of other groups included; collective."""
+        if self.beside:
+            return self.beside
+        with self.of_this_node() as node:
+            return node.size
 
 
 def require_held(item: T | None) -> T:

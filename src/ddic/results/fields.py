@@ -53,7 +53,9 @@ def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displac
     ends = np.cumsum([subdomain.mesh.n_nodes for subdomain in subdomains])[:-1]
 
     def sum_shared(sums: Sequence[Array]) -> list[Array]:
-        return [np.concatenate(sum_shared_nodes(team, subdomains, np.split(sums[0], ends)))]
+        parts = sum_shared_nodes(team, subdomains, np.split(sums[0], ends))
+        # Where there is one, it need not be copied.
+        return parts if len(parts) == 1 else [np.concatenate(parts)]
 
     gradients, = recover_gradients([mesh], [np.concatenate(displacements)], sum_shared)
     return np.split(gradients, ends)

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from ddic.arrays import Array
 from ddic.errors import DdicError, FactorizationError, SingularSubdomainError
-from ddic.functionals.scale_rows import scale_rows
+from ddic.functionals.scale_rows import scale_rows, sum_column_squares
 from ddic.parallel.field import Field
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import AllowedError, StepResult
@@ -73,10 +73,10 @@ class LocalSystem:
     def diagonal(self) -> Array:
         """Diagonal of A_s, (n_unknowns,), without the product Kbar_s^T Kbar_s."""
         of_hessian = np.asarray(self.hessian.diagonal())
-        if self.controlled_stiffness is None:
+        if self.stiffness is None:
             return of_hessian
-        sums_of_squares = np.asarray(self.controlled_stiffness.power(2).sum(axis=0)).ravel()
-        return np.asarray(of_hessian + self.eta * sums_of_squares)
+        factors = np.ones(self.stiffness.shape[0]) if self.projection is None else self.projection
+        return np.asarray(of_hessian + self.eta * sum_column_squares(self.stiffness, factors))
 
     @property
     def without_motion(self) -> LocalSystem:

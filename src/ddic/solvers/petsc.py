@@ -204,7 +204,7 @@ def create_ksp(comm: PETSc.Comm, prefix: str) -> PETSc.KSP:
     return ksp
 
 
-COARSE_UNKNOWNS = 4000
+COARSE_UNKNOWNS = 2000
 """Unknowns of a coarse problem for each rank that factorises it: 0.4 s, and as long as the messages of more ranks. A
 larger number makes fewer ranks do more."""
 

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError, as_collective
-from ddic.functionals.scale_rows import scale_rows
+from ddic.functionals.scale_rows import scale_rows, sum_column_squares
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -209,7 +209,7 @@ class EquilibriumRows:
 
     def sum_squares(self) -> Array:
         """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s, (n_unknowns,)."""
-        return np.asarray(self._stiffness.power(2).T @ self._factors**2)
+        return sum_column_squares(self._stiffness, self._factors)
 
     def assemble(self) -> sparse.csr_matrix:
         """Form the square matrix, for who needs more than its products; rows of a camera's motion are zero."""

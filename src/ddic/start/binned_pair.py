@@ -241,6 +241,11 @@ def choose_finest_block(n_pixels: int) -> int:
     return 1 if n_pixels <= LARGEST_FFT_IMAGE else find_finest_level(n_pixels)
 
 
+def choose_held_block(n_pixels: int) -> int:
+    """Find the side of the smallest blocks of all levels, of those too that several ranks go on to, pixels."""
+    return min(choose_finest_block(n_pixels), FINEST)
+
+
 def find_finest_level(n_pixels: int) -> int:
     """Find the side of the smallest blocks of the pyramid, pixels, in an image of ``n_pixels``."""
     finest = 2

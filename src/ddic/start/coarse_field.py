@@ -26,7 +26,7 @@ from ddic.parallel.workers import Workers
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.reference_problem import ReferenceProblem
 from ddic.problem.region_mesh import list_discontinuities
-from ddic.start.binned_pair import choose_finest_block
+from ddic.start.binned_pair import choose_held_block
 from ddic.start.coarse_displacement import CoarseField, CutField, KeptResult, evaluate_at_nodes
 from ddic.start.given_start import EarlierResult, GivenStart, PlacedStart, load_given_start, place_start
 from ddic.start.helpers import Helpers, PairOfRank, hold_rows, split_rows
@@ -92,7 +92,7 @@ class CoarseSearch:
     def _hold_band(self, camera: Camera, deformed: MaskedSource) -> PairOfRank:
         """Rows of both images, in the smallest blocks that the start looks at."""
         image = camera.reference.image
-        factor = choose_finest_block(image.width * image.height)
+        factor = choose_held_block(image.width * image.height)
         rows_of_ranks = split_rows(image.height // factor, self.team.size)
         return hold_rows(camera.reference, deformed, factor, rows_of_ranks[self.team.rank])
 

@@ -152,10 +152,8 @@ def _measure(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Ar
 
 def _explain(residual: Residual, slopes: CellSlopes, correction: tuple[Array, Array]) -> Array:
     """Mean square of a cell's residual that a small translation of it explains, (n_cells,), grey levels squared."""
-    gain, offset = (np.broadcast_to(value, len(slopes.mean))[:, None] for value in correction)
-    of_r, of_g, of_one = np.moveaxis(residual.moments[..., 0], 1, 0)
     safe = np.maximum(residual.cell_sums.n_pixels, 1.0)[:, None]
-    b = (of_r - (gain - 1.0) * of_g - offset * of_one) / safe
+    b = residual.correct_moments(*correction)[..., 0] / safe
     translation = np.einsum("cij,cj->ci", slopes.inverse, b)
     return np.asarray(np.einsum("ci,ci->c", b, translation))
 
