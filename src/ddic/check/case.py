@@ -153,8 +153,6 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     ranks. Raises InputError with all problems, one line each.
     """
     case, problems = loaded.case, Problems()
-    if n_ranks is not None:
-        n_ranks = count_ranks_of_group(loaded, n_ranks)
     for line in list_unused_keys(case):
         warnings.warn(f"{loaded.path}: {line}", UserWarning, stacklevel=2)
     reference, *_ = [check_images(section, problems) for section in list_cameras(case)]
@@ -166,6 +164,8 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     points = _check_start_points(loaded, reference, problems)
     report: CheckReport | None = find_method(case).check(loaded, reference, points, problems)
     with problems.gathered():
+        if n_ranks is not None:
+            n_ranks = count_ranks_of_group(loaded, n_ranks)
         check_ranks(loaded, 1 if n_ranks is None else n_ranks)
     if report is None or problems.lines or of_keys:
         raise InputError([*of_keys, *problems.lines])

@@ -102,14 +102,6 @@ FEW = 500
 """Values that are sorted as quickly as halved."""
 
 
-def find_weighted_quantile(values: Array, weights: Array, share: float) -> float:
-    """Find the one of the values below which lies a share, from 0 to 1, of all weight.
-
-    There is at least one value; weights are not negative, and not all of them 0.
-    """
-    return find_value_at(values, weights, share * weights.sum())
-
-
 def find_value_at(values: Array, weights: Array, left: float) -> float:
     """Find the one of the values, at least one, below which lies some weight, of all of them at most."""
     # To sort all of them would take five times as long.
@@ -128,5 +120,5 @@ def find_value_at(values: Array, weights: Array, left: float) -> float:
 
 
 def find_weighted_median(values: Array, weights: Array) -> float:
-    """Find the value below which lies half of all weight."""
-    return find_weighted_quantile(values, weights, 0.5)
+    """Find the one of the values, at least one, below which lies half of all weight; not all weights are 0."""
+    return find_value_at(values, weights, 0.5 * weights.sum())

@@ -106,13 +106,13 @@ def _measure_in_groups(team: Team, loaded: LoadedCase, finished: Mapping[int, Fr
                     listener.note(f"{n_groups} groups of {own.size} ranks measure; this one frames {first}-{end - 1}")
                 records = measure_frames(own, images, numbers, before, folder)
             except (DdicError, OSError) as caught:
-                # An error of this rank alone ends all; with one group it is that of all ranks already.
-                if n_groups == 1 or not is_collective(caught):
+                # An error of this rank alone ends all.
+                if not is_collective(caught):
                     raise
                 error = caught
         is_first = own.is_root
     team.share_error(error)
-    return records if n_groups == 1 else team.gather_lists(records if is_first else [])
+    return team.gather_lists(records if is_first else [])
 
 
 def _describe_origin(loaded: LoadedCase) -> dict[str, object]:
