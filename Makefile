@@ -82,7 +82,7 @@ bench-big: setup ## a SIZE x SIZE px pair on 2 ranks, 22,000 by default: time by
 bench-before: $(BENCH_STAMP) ## the whole command beside an older commit, in turn: wall time, CPU time, memory (ARGS="demo --rounds 1")
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.before $(ARGS)
 
-bench-scaling: setup ## work by rank, messages and bytes on 4 to 64 oversubscribed ranks
+bench-scaling: setup ## work by rank, messages and bytes on 4 to 144 oversubscribed ranks
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.scaling $(ARGS)
 
 bench-threads: setup ## one thread against two on one rank, phase by phase

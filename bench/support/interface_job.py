@@ -22,6 +22,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from bench.support.coarse_record import record_coarse
 from bench.support.step_problem import factorize
 from bench.support.tiled_texture import TiledProblem
 from ddic.kinematics.nodal import NodalRegion
@@ -233,6 +234,8 @@ def main(argument: str) -> None:
     team = Team(MPI.COMM_WORLD)
     problem = TiledProblem(task["n"], task["wavelength"])
     laps = Laps(team)
+    coarse: dict[str, float] = {}
+    record_coarse(coarse.update)
     if task["solver"] in PETSC:
         found, field = of_petsc(team, problem, task["solver"], laps)
     else:
@@ -240,11 +243,13 @@ def main(argument: str) -> None:
     # Before the comparison, which gathers fields that no solver needs.
     peaks = team.gather_lists([largest_resident()])
     before = team.gather_lists([found.pop("resident_before")])
+    if coarse:
+        coarse["coarse_factor_cpu_s"] = team.comm.allreduce(coarse["coarse_factor_cpu_s"], op=MPI.MAX)
     reference = Path(task["reference"])
     keep = task["solver"] in ("cholmod", "assembled") and not reference.is_file()
     difference = compared(team, problem, field, reference, keep=keep)
     if team.is_root:
-        print(json.dumps({**found, "n_dofs": problem.n_dofs, "difference": difference, **laps.seconds,
+        print(json.dumps({**found, **coarse, "n_dofs": problem.n_dofs, "difference": difference, **laps.seconds,
                           "peak_memory_bytes": peaks, "before_setup_bytes": before}), flush=True)
 
 
