@@ -61,14 +61,16 @@ def right_hand_side(library: ctypes.CDLL, part: Correlation, spline: SplineImage
 
     u: (n_cells, 2, 4), displacement on the monomials, pixels.
     """
+    # The kernel takes float32 alone.
+    values = part.reference.values.astype(np.float32)
     f, r, geometry = part.reference, part.raster, part.interpolation.geometry
     of_cells: list[NDArray[Any]] = [part.order, geometry, u, r.first_row, r.row_ptr, r.starts, r.stops]
     assert all(a.flags.c_contiguous for a in of_cells)
     cells = _Cells(len(part.order), *(a.ctypes.data for a in of_cells))
-    reference = _image(f.values, f.window.x0, f.window.y0)
+    reference = _image(values, f.window.x0, f.window.y0)
     # A pixel's place is that of its first tap, one pixel to the left of it and above.
     taps = _image(spline.coefficients, spline.window.x0 - 1, spline.window.y0 - 1)
-    held = (of_cells, f, spline)
+    held = (of_cells, values, f, spline)
 
     def run() -> Sums:
         assert held

@@ -204,6 +204,11 @@ def _foreign(exchange: Exchange) -> tuple[int, int]:
     return len(np.unique(owner[owner != mine])), int((owner != mine).sum())
 
 
+def keep_sizes(sizes: dict[str, float]) -> None:
+    """Keep sizes of the problem with what this case has booked."""
+    LEDGER.sizes |= sizes
+
+
 def book_corrections() -> None:
     """Book the CPU seconds of coarse corrections; only on one rank are these all work and no waiting."""
     correct = CoarseSpace.correct
@@ -224,7 +229,7 @@ def main(case_files: list[str]) -> None:
     book_cpu(DualPreconditioner, "apply_own", "P_s")
     book_exchange("fetch_ghosts")
     book_exchange("add_to_owners")
-    record_coarse(LEDGER.sizes.update)
+    record_coarse(keep_sizes)
     book_corrections()
     team = Team(CountingComm(MPI.COMM_WORLD))
     for case_file in case_files:

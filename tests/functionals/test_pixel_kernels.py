@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,8 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Correlation, read_correlation
 from ddic.functionals.pixel_kernels import BATCH
-from ddic.images.sub_image import DeformedSubImage
+from ddic.images.binned import ArraySource
+from ddic.images.sub_image import DeformedSubImage, MaskedSource
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh
 from support.pictures import source
@@ -76,6 +79,23 @@ def test_residual_image_equals_the_readable_one(degree: int) -> None:
         expected = part.compute_residual_image(deformed, q, gain, offset)
     np.testing.assert_allclose(found, expected, atol=255 * 10 * GREY_ROUNDING)
     assert 0 < np.isfinite(found).sum() < part.n_usable_pixels
+
+
+def test_an_image_of_bytes_gives_the_same_bits() -> None:
+    f, g = noise(1), noise(2)
+    # The last cell ends at the image's last pixel, beyond which no vector may be read.
+    mesh = grid_mesh(6, 5, (13.0, 13.0), origin=(2.0, 5.0), cells="mixed", seed=4, jitter=0.0)
+    q = np.random.default_rng(4).uniform(-20, 20, mesh.n_dofs)
+    deformed = DeformedSubImage(source(g), 3)
+    of_bytes, of_floats = (read_correlation(mesh, MaskedSource(ArraySource(Path("memory"), image)), 3)
+                           for image in (f.astype(np.uint8), f.astype(np.float32)))
+    assert of_bytes.reference.values.dtype == np.uint8
+    assert of_bytes.reference.window.upper == f.shape[::-1]
+    found, expected = (part.compute_residual(deformed, q, all_kinds=True) for part in (of_bytes, of_floats))
+    np.testing.assert_array_equal(found.moments, expected.moments)
+    np.testing.assert_array_equal(found.cell_sums.values, expected.cell_sums.values)
+    np.testing.assert_array_equal(of_bytes.compute_cell_hessians(), of_floats.compute_cell_hessians())
+    np.testing.assert_array_equal(*(part.compute_residual_image(deformed, q) for part in (of_bytes, of_floats)))
 
 
 @pytest.mark.parametrize("cells", ["Q4", "T3"])

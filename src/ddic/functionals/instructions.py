@@ -4,19 +4,21 @@ A vector stands for what a loop would do after a test of overlap for every row o
 
 Intrinsics are functions that numba asks, while it compiles a call of them, for the types and then for the
 instructions: the function below a docstring takes types, ``generate`` writes the instructions for the values.
-Arrays of vectors are float32 and contiguous, and the caller minds their ends.
+Vectors are float32, and what they are copied from is float32 or uint8. Arrays are contiguous, and the caller minds
+their ends.
 """
 
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 WIDTH = 16
 """float32 numbers in the widest vector."""
 
 _VECTOR = ir.VectorType(ir.FloatType(), WIDTH)
+_BYTES = ir.VectorType(ir.IntType(8), WIDTH)
 _ALIGNMENT = 4
 _STEPS = ir.Constant(_VECTOR, [float(k) for k in range(WIDTH)])
 
@@ -29,7 +31,18 @@ def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any
     """Address of array[index], as that of a vector."""
     data = context.make_array(array_type)(context, builder, array).data
     first = builder.gep(data, [index])
-    return builder.bitcast(first, _VECTOR.as_pointer())
+    return builder.bitcast(first, _vector_type(array_type).as_pointer())
+
+
+def _vector_type(array_type: Any) -> Any:
+    """Type of as many neighbouring numbers of an array as a vector has."""
+    return _BYTES if array_type.dtype == types.uint8 else _VECTOR
+
+
+def _load(builder: Any, address: Any, alignment: int | None = None) -> Any:
+    """The numbers at the address of a vector, as float32."""
+    values = builder.load(address, align=alignment)
+    return builder.uitofp(values, _VECTOR) if values.type == _BYTES else values
 
 
 def _splat(builder: Any, value: Any) -> Any:
@@ -48,7 +61,7 @@ def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> An
         to_type, _, source_type, _ = signature.args
         to_array, to_index, source_array, source_index = arguments
         source_address = _address(context, builder, source_type, source_array, source_index)
-        values = builder.load(source_address, align=_ALIGNMENT)
+        values = _load(builder, source_address, 1 if source_type.dtype == types.uint8 else _ALIGNMENT)
         to_address = _address(context, builder, to_type, to_array, to_index)
         builder.store(values, to_address, align=_ALIGNMENT)
         return context.get_dummy_value()
@@ -58,18 +71,22 @@ def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> An
 
 @intrinsic  # type: ignore[untyped-decorator]
 def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any) -> Any:
-    """Copy source[i : i + n] to to[j : j + n], which lie apart: a call, where a loop is unrolled."""
+    """Copy source[i : i + n] to to[j : j + n], and zeros to the rest of a vector: a call, where a loop is unrolled."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to_type, _, source_type, _, _ = signature.args
         to_array, to_index, source_array, source_index, count = arguments
+        held = cgutils.alloca_once(builder, _vector_type(source_type))
+        builder.store(ir.Constant(held.type.pointee, None), held)
         bytes_ = ir.IntType(8).as_pointer()
-        to_bytes = builder.bitcast(_address(context, builder, to_type, to_array, to_index), bytes_)
+        held_bytes = builder.bitcast(held, bytes_)
         source_bytes = builder.bitcast(_address(context, builder, source_type, source_array, source_index), bytes_)
-        size = builder.mul(count, ir.IntType(64)(4))
+        size = builder.mul(count, ir.IntType(64)(source_type.dtype.bitwidth // 8))
         copy = builder.module.declare_intrinsic("llvm.memcpy", [bytes_, bytes_, ir.IntType(64)])
         is_volatile = ir.IntType(1)(0)
-        builder.call(copy, [to_bytes, source_bytes, size, is_volatile])
+        builder.call(copy, [held_bytes, source_bytes, size, is_volatile])
+        to_address = _address(context, builder, to_type, to_array, to_index)
+        builder.store(_load(builder, held), to_address, align=_ALIGNMENT)
         return context.get_dummy_value()
 
     return types.void(to, j, source, i, types.int64), generate

@@ -9,8 +9,8 @@ writes whole vectors, and the next segment overwrites what is beyond a segment's
 batch's lanes, which the compiler turns into vector instructions without a remainder; lanes after the last segment
 repeat its last pixel's position and weigh nothing. Segments whose pixels have one integer offset read spline
 coefficients contiguously. Displacements are split into an integer offset and a fraction, so that
-no digit is lost to the position in the image. Images are float32 and everything computed from them is float64: in
-float32, Gauss-Newton would not get below 5e-8 px.
+no digit is lost to the position in the image. Images are float32, f also uint8 as most files hold it, and everything
+computed from them is float64: in float32, Gauss-Newton would not get below 5e-8 px.
 
 What belongs together is one argument, a named tuple: ``Cells``, ``Shapes``, ``ReferencePixels``, ``DeformedPixels``
 and ``CellSums`` are what comes from outside, ``Scratch``, ``Place``, ``Batch`` and ``Segment`` what the stages hand
@@ -121,7 +121,8 @@ class ReferencePixels(NamedTuple):
 
     Attributes
     ----------
-    values, by_x, by_y : (n,) float32 arrays
+    values : (n,) float32 or uint8 array
+    by_x, by_y : (n,) float32 arrays
         f and grad f, grey levels and grey levels per pixel: rows, one after the other.
     row_length : int
         Numbers from one row to the next.
@@ -131,7 +132,7 @@ class ReferencePixels(NamedTuple):
         0 where a pixel is excluded; (0, 0) where none is, so that there is one compiled kernel for both.
     """
 
-    values: NDArray[np.float32]
+    values: NDArray[np.float32 | np.uint8]
     by_x: NDArray[np.float32]
     by_y: NDArray[np.float32]
     row_length: int

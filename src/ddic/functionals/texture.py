@@ -98,7 +98,8 @@ def estimate_noise_variance(correlation: Correlation) -> float:
 def _squared_details(f: GradientImage, rows: IntArray) -> Array:
     """Squares of the finest detail on some rows of an image, without its outermost columns."""
     # (1, -2, 1) / sqrt(6) along both axes is blind to curvature along one, and keeps the variance of white noise.
-    across = f.values[rows - 1] - 2.0 * f.values[rows] + f.values[rows + 1]
+    above, on, below = (f.values[rows + k].astype(np.float32) for k in (-1, 0, 1))
+    across = above - 2.0 * on + below
     detail = (across[:, :-2] - 2.0 * across[:, 1:-1] + across[:, 2:]) / 6.0
     return np.asarray(detail.astype(np.float64) ** 2)
 

@@ -62,7 +62,7 @@ class GradientImage:
     window : Window
         Its pixels.
     values : (window.height, window.width) array
-        Grey levels.
+        Grey levels: bytes where the image has bytes, a quarter of the memory, else float32.
     slopes : (dim, window.height, window.width) array
         Of the spline at pixel centres, along x and along y, grey levels per pixel.
     usable : (window.height, window.width) array or None
@@ -70,7 +70,7 @@ class GradientImage:
     """
 
     window: Window
-    values: NDArray[np.float32]
+    values: NDArray[np.float32 | np.uint8]
     slopes: NDArray[np.float32]
     usable: NDArray[np.uint8] | None = None
 
@@ -140,10 +140,11 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     prefilter along columns. ``find_usable`` is as for ``read_spline``. With ``excludes_taps`` the pixels whose slope is
     taken from an excluded one are left out, otherwise only the excluded ones.
     """
-    values = np.empty(window.shape, dtype=np.float32)
-    slopes = np.empty((2, *values.shape), dtype=np.float32)
     halo = HALO[degree] + PADDING[degree]
     held = _hold(source, window, halo, find_usable)
+    grey_type = np.uint8 if held.pixels.dtype == np.uint8 else np.float32
+    values: NDArray[np.float32 | np.uint8] = np.empty(window.shape, dtype=grey_type)
+    slopes = np.empty((2, *window.shape), dtype=np.float32)
     wide = held.window
     n_rows = max(_BLOCK // wide.width, TURNED)
 

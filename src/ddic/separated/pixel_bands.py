@@ -91,7 +91,7 @@ def cut_bands(reference: GradientImage, along_x: LineElements, rows: Sequence[ra
     for of_band in rows:
         window = Window((along_x.pixels.start, of_band.start), (along_x.pixels.stop, of_band.stop))
         part = reference.restrict(window)
-        values, by_x, by_y = (np.ascontiguousarray(array) for array in (part.values, *part.slopes))
+        values, by_x, by_y = (np.ascontiguousarray(array, dtype=np.float32) for array in (part.values, *part.slopes))
         if part.usable is not None:
             left_out = part.usable == 0
             values[left_out], by_x[left_out], by_y[left_out] = np.nan, 0.0, 0.0

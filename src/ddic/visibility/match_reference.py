@@ -200,7 +200,7 @@ def _take_samples(whole: ResidualModel, q: Sequence[Array], camera: int) -> Iter
     """F and g(x + u) on a part of each owned subdomain; nan where g is not seen."""
     for view, q_s in zip(whole.views.flat, whole.views.fill(q).flat, strict=True):
         if view.camera == camera:
-            f = view.correlation.reference.values[:SAMPLE, :SAMPLE]
+            f = view.correlation.reference.values[:SAMPLE, :SAMPLE].astype(np.float32)
             g = f - view.compute_residual_image(q_s)[:SAMPLE, :SAMPLE]
             yield f.astype(np.float64), g.astype(np.float64)
 
