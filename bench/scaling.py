@@ -53,26 +53,36 @@ file = "{name}.vtkhdf"
     return file
 
 
-def counted(n_ranks: int, files: list[Path]) -> None:
-    """Run case files on some ranks and keep their records."""
-    for record in run_job(n_ranks, JOB, *map(str, files)):
+def counted(n_ranks: int, files: list[str], n_jobs: int = 1) -> list[dict[str, Any]]:
+    """Run case files in some jobs of so many ranks at the same time, and keep their records."""
+    records = run_job(n_jobs * n_ranks, JOB, str(n_jobs), *files)
+    for record in records:
         append_result("scaling", record)
+    return records
 
 
-def weak(n_ranks: int) -> None:
-    """One subdomain a rank, one level at the short wavelength and two at the long one; images as large as all ranks."""
+def weak(n_ranks: int, n_jobs: int = 1) -> list[dict[str, Any]]:
+    """One subdomain a rank, one level at the short wavelength and two at the long one; images as large as all ranks.
+
+    With several jobs so many ranks each run their own case at the same time, as crowded as one job of them all.
+    """
     blocks = round(n_ranks**0.5)
     if blocks**2 != n_ranks or not 2 <= blocks <= 16:
         raise RuntimeError(f"--ranks {n_ranks}: must be a square from 4 to 256")
     # Without swap the system would end programs, and not necessarily this one.
-    if n_ranks * RANK_MIB * 2**20 > MOST_OF_MEMORY * available_bytes():
-        raise RuntimeError(f"--ranks {n_ranks}: takes {n_ranks * RANK_MIB / 1024:.0f} GiB, too much of the "
+    gib = n_jobs * n_ranks * RANK_MIB / 1024
+    if gib * 2**30 > MOST_OF_MEMORY * available_bytes():
+        raise RuntimeError(f"--ranks {n_ranks}: takes {gib:.0f} GiB, too much of the "
                            f"{available_bytes() / 2**30:.0f} that are free; leave out the largest numbers of ranks")
     folder = pair(blocks * SIDE)
-    counted(n_ranks, [
-        case(folder, blocks * SIDE, ELEMENT, wavelength,
-             f'method = "dual"\nsubdomains = {n_ranks}\npreconditioner = "{kind}"', f"weak_{n_ranks}_{name}")
-        for name, wavelength, kind in (("short", SHORT, "scaled"), ("long", LONG, "two_level"))])
+    files = []
+    for name, wavelength, kind in (("short", SHORT, "scaled"), ("long", LONG, "two_level")):
+        keys = f'method = "dual"\nsubdomains = {n_ranks}\npreconditioner = "{kind}"'
+        of_jobs = f"weak_{n_ranks}_{name}" if n_jobs == 1 else f"beside_{n_ranks}_{name}_{{job}}"
+        for job in range(n_jobs):
+            case(folder, blocks * SIDE, ELEMENT, wavelength, keys, of_jobs.format(job=job))
+        files.append(str(folder / f"{of_jobs}.toml"))
+    return counted(n_ranks, files, n_jobs)
 
 
 def pair(side: int) -> Path:
@@ -94,8 +104,8 @@ def coarse() -> None:
     side = COARSE_ELEMENT * COARSE_ELEMENTS
     folder = pair(max(COARSE_SIDES) * side)
     keys = 'method = "dual"\npartition = "blocks"\npreconditioner = "two_level"\nblocks = '
-    counted(1, [case(folder, blocks * side, COARSE_ELEMENT, 4 * side, f"{keys}[{blocks}, {blocks}]",
-                     f"coarse_{blocks**2}") for blocks in COARSE_SIDES])
+    counted(1, [str(case(folder, blocks * side, COARSE_ELEMENT, 4 * side, f"{keys}[{blocks}, {blocks}]",
+                         f"coarse_{blocks**2}")) for blocks in COARSE_SIDES])
 
 
 def pixel_rates() -> dict[str, Any]:
