@@ -33,7 +33,7 @@ SIZES = (172, 353, 707, 1414)
 WAVELENGTHS = (0.0, 64.0, 128.0, 512.0)
 """Pixels; 0: without regularization."""
 RANKS = (1, 2)
-SOLVERS = ("cholmod", "assembled", "conjugate_gradient", "two_level", "scaled", "paper", "gamg", "hpddm")
+SOLVERS = ("cholmod", "assembled", "low_rank", "conjugate_gradient", "two_level", "scaled", "paper", "gamg", "hpddm")
 DUAL = ("two_level", "scaled", "paper")
 SUBDOMAINS = (*DUAL, "conjugate_gradient")
 """Solvers whose time depends on the subdomains."""
@@ -44,6 +44,7 @@ REPEATED_UP_TO = 400
 MEMORY = 20 * 2**30
 """Address space of all ranks of a run together, bytes: a run that asks for more is out of memory."""
 TITLES = {"cholmod": "monolithic, CHOLMOD", "assembled": "assembled, MUMPS",
+          "low_rank": "assembled, MUMPS in blocks of low rank",
           "conjugate_gradient": "conjugate gradients, diagonal", "two_level": "dual, two-level",
           "scaled": "dual, one level, scaled", "paper": "dual, one level, paper's", "gamg": "CG + GAMG",
           "hpddm": "CG + PCHPDDM"}

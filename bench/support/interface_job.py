@@ -55,6 +55,10 @@ PETSC = {
 """Options (prefix bench_) of the solvers on the assembled operator. Four smoothing steps instead of GAMG's two:
 A is of fourth order, and with two it took over a thousand iterations on 13 000 unknowns at l_c = 32 elements."""
 
+LOW_RANK = {"assembled_mat_mumps_icntl_35": "2", "assembled_mat_mumps_cntl_7": "1e-8", "assembled_ksp_type": "cg",
+            "assembled_ksp_rtol": str(CG_TOLERANCE)}
+"""Options of a factor of MUMPS in blocks of low rank: a factor that drops what is below CNTL(7) is no exact inverse."""
+
 Values = tuple[list[NDArray[np.int64]], list[NDArray[np.float64]]]
 """Numbers of unknowns and their values; what neighbours share may occur twice."""
 
@@ -135,7 +139,7 @@ def make_step(team: Team, solver: str, assembly: Assembly, operators: list[Local
     team : Team
         Ranks.
     solver : str
-        One of DUAL, "assembled" or "conjugate_gradient".
+        One of DUAL, "assembled", "low_rank" or "conjugate_gradient".
     assembly : Assembly
         The systems.
     operators : list of LocalOperator
@@ -146,7 +150,10 @@ def make_step(team: Team, solver: str, assembly: Assembly, operators: list[Local
     LinearStep
         To be destroyed.
     """
-    if solver == "assembled":
+    if solver == "low_rank":
+        for key, value in LOW_RANK.items():
+            PETSc.Options().setValue(key, value)
+    if solver in ("assembled", "low_rank"):
         return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
     if solver == "conjugate_gradient":
         return ConjugateGradientStep(team, assembly.systems, DualSettings.tolerance, MOST_KRYLOV)
