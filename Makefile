@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
-	accept-impressions accept-practice accept-faults accept-clean accept-trust trials smoke clean
+	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -132,6 +132,12 @@ accept-practice: setup ## measure the table of daily work: series, clusters, unc
 
 accept-faults: setup ## measure the table of faults: bad inputs, damaged files, killed runs (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables faults --jobs $(JOBS) $(CHECK)
+
+accept-scale: $(BENCH_STAMP) ## measure the table of many ranks and gigapixels, then fields and faults as before (CHECK=NAME: one check); half an hour
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables scale $(CHECK); held=$$?; \
+	test -n "$(CHECK)" || { $(PYTHON) -m accept.tables house recorded || held=1; \
+	$(PYTHON) -m accept.tables faults --jobs $(JOBS) kills_and_signals full_disks outputs_onto_inputs || held=1; }; \
+	exit $$held
 
 accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay for what spoils others (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables clean $(CHECK)

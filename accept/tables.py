@@ -147,6 +147,13 @@ TABLES: dict[str, dict[str, str]] = {
         "recycling": "solver.measure_recycling",
         "large_subdomain": "solver.measure_large_subdomain",
     },
+    "scale": {
+        "ranks": "scale.measure_ranks",
+        "coarse": "scale.measure_coarse",
+        "gigapixel": "scale.measure_gigapixel",
+        "dual": "scale.measure_dual",
+        "small_cases": "scale.measure_small_cases",
+    },
     "clean": {
         "pairs": "clean.measure_pairs",
         "tension": "few_passes.measure_tension",

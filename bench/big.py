@@ -1,7 +1,8 @@
 """A large image pair on 2 ranks: 22,000 x 22,000 px with about a million unknowns at 31 px, or a smaller square.
 
-Usage: python -m bench.big [--size PIXELS], 5000 by default; ``make bench-big`` takes 22,000. The reference texture and
-field, 8 bit, are rendered in bands into bench/data, once (0.4 CPU s a megapixel). Time by phase, memory and error go
+Usage: python -m bench.big [--size PIXELS], 5000 by default; ``make bench-big`` takes 22,000, and ``make accept-scale``
+a gigapixel at 16 px. The reference texture and field, 8 bit, are rendered in bands into bench/data, once (0.4 CPU s a
+megapixel). Time by phase, memory and error go
 to bench/results/big.jsonl.
 """
 
@@ -26,22 +27,26 @@ SUBDOMAIN_SIDE = 1375
 MEMORY_GIB = 24.0
 
 
-def square(size: int) -> BenchCase:
+def by_dual(size: int) -> str:
+    """The dual method, keys of [solver]."""
+    return f'method = "dual"\nsubdomains = {max(2, round((size / SUBDOMAIN_SIDE) ** 2))}'
+
+
+def square(size: int, solver: str, element: int = ELEMENT, wavelength: int = WAVELENGTH) -> BenchCase:
     """Reference texture and field on size x size px, all but a margin of 32 px, rendered where missing."""
     folder = images("sinusoidal", "--size", f"{size}x{size}", folder=DATA / f"big_{size}")
-    subdomains = max(2, round((size / SUBDOMAIN_SIDE) ** 2))
     text = (f'[images]\nreference = "{folder}/reference.tif"\ndeformed = "{folder}/deformed.tif"\n'
             f"[mesh.structured]\nregion = [{MARGIN}, {MARGIN}, {size - MARGIN}, {size - MARGIN}]\n"
-            f"element_size = {ELEMENT}\n[regularization]\ncut_off_wavelength = {WAVELENGTH}\n"
+            f"element_size = {element}\n[regularization]\ncut_off_wavelength = {wavelength}\n"
             f"[gauss_newton]\ntolerance = {TOLERANCE}")
-    return BenchCase(f"square_{size}", 8, folder, text, load_truth(folder / "truth.json"), ELEMENT,
-                     f"all but a margin of {MARGIN} px", f'method = "dual"\nsubdomains = {subdomains}')
+    return BenchCase(f"square_{size}", 8, folder, text, load_truth(folder / "truth.json"), element,
+                     f"all but a margin of {MARGIN} px", solver)
 
 
 def measure(size: int) -> list[Row]:
     """One run; below full size a second one at half the side, to extrapolate."""
-    record = _run(size)
-    show(record, _run(size // 2) if size < FULL else None)
+    record = run(square(size, by_dual(size)))
+    show(record, run(square(size // 2, by_dual(size // 2))) if size < FULL else None)
     memory = record["memory_total_bytes"] / 2**30
     row = Row(f"{size} x {size} px pair, {record['n_dofs']} unknowns at {ELEMENT} px, {record['n_subdomains']} "
               f"subdomains, 2 ranks, l_c = {WAVELENGTH} px", f"runs in one go in {MEMORY_GIB:g} GiB",
@@ -50,8 +55,8 @@ def measure(size: int) -> list[Row]:
     return [row]
 
 
-def _run(size: int) -> dict[str, Any]:
-    case = square(size)
+def run(case: BenchCase) -> dict[str, Any]:
+    """The record of one run, which is kept."""
     record = run_record(case, [timed(case.measured, case.folder, 2, case.name)])
     append_result("big", record)
     return record

@@ -1,14 +1,15 @@
 """Set-up, solve and memory of one linear step: the interface solvers, direct solvers and multigrid.
 
 Usage: python -m bench.interface_solvers [--sizes N ...] [--wavelengths PX ...] [--ranks R ...] [--solvers NAME ...]
-[--per-subdomain E ...] [--repeats K] [--timeout S] [--append] [--fit]; everything by default, which takes hours.
+[--per-subdomain E ...] [--repeats K] [--timeout S] [--append] [--fit] [--best]; everything by default, for hours.
 
 Squares of n x n Q4 of 16 px with a tiled random texture. Every run is a fresh process or group of
 processes; repeats alternate between the solvers. Seconds are CPU seconds of the slowest rank, medians of
 the repeats: wall time means little where others compute. A JSON line per run goes to
 bench/results/interface_solvers.jsonl, started afresh without --append, and the table of all its lines to
 interface_solvers.md. At the end the constants of the cost model of solver.method = "auto" are fitted to all lines of
-the file and printed as src/ddic/solvers/step_costs.py has them; --fit does that alone.
+the file and printed as src/ddic/solvers/step_costs.py has them; --fit does that alone. --best prints the table of
+docs/solver.md that says which method is best.
 """
 
 from __future__ import annotations
@@ -20,16 +21,19 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 from bench.support.cost_fit import fit_constants, list_missing
 from bench.support.rows import RESULTS, append_result
 from bench.support.runs import DATA, ROOT, environment
+from ddic.solvers.step_costs import StepCandidate, StepMethod, StepTask, predict_costs
 
 JOB = "bench.support.interface_job"
 NAME = "interface_solvers"
 SIZES = (172, 353, 707, 1414)
 """Elements along a side: about 60 000, 250 000, 1 and 4 million unknowns."""
+SIDE = 16.0
+"""Of an element, pixels."""
 WAVELENGTHS = (0.0, 64.0, 128.0, 512.0)
 """Pixels; 0: without regularization."""
 RANKS = (1, 2)
@@ -39,6 +43,8 @@ SUBDOMAINS = (*DUAL, "conjugate_gradient")
 """Solvers whose time depends on the subdomains."""
 PER_SUBDOMAIN = (0, 20, 40)
 """Elements along a subdomain's side, of the dual solvers; 0: one subdomain a rank."""
+TIMEOUT_S = 600.0
+"""Seconds after which a run is given up."""
 REPEATED_UP_TO = 400
 """Elements along a side up to which runs are repeated: larger ones take minutes each."""
 MEMORY = 20 * 2**30
@@ -155,6 +161,56 @@ def table() -> Iterator[str]:
         yield row([r for r in records if place(r) == key])
 
 
+OWN: dict[str, StepMethod] = {"assembled": "assembled", "conjugate_gradient": "conjugate_gradient", "scaled": "dual",
+                              "two_level": "dual"}
+"""ddic's methods by the name of a solver here."""
+MODEL_RANKS = 64
+
+
+def best() -> Iterator[str]:
+    """By size and cut-off wavelength, ddic's method that is fastest and the one that takes least memory.
+
+    On two ranks as the result file has it; on 64 as the cost model of ``solver.method = "auto"`` predicts.
+    """
+    yield (f"| unknowns | l_c, elements | 2 ranks, measured: fastest | least memory | {MODEL_RANKS} ranks, predicted: "
+           "fastest | least memory |")
+    yield "|---|---|---|---|---|---|"
+    solved = [r for r in read_records() if r["outcome"] == "solved" and r["n_ranks"] == 2 and r["solver"] in OWN]
+    for n, wavelength in sorted({(r["n"], r["cut_off_wavelength"]) for r in solved}):
+        runs: dict[tuple[str, int], list[dict[str, Any]]] = {}
+        for r in solved:
+            if (r["n"], r["cut_off_wavelength"]) == (n, wavelength):
+                runs.setdefault((r["solver"], r["per_subdomain"] or 0), []).append(r)
+        measured = {_name(*key): (median(r["setup_cpu"] + r["solve_cpu"] for r in of_key),
+                                  median(max(r["peak_memory_bytes"]) for r in of_key)) for key, of_key in runs.items()}
+        task = StepTask(2 * (n + 1) ** 2, n * n, wavelength / SIDE, MODEL_RANKS, 1)
+        costs = {key: predict_costs(task, _candidate(*key, task)) for key in runs}
+        predicted = {_name(*key): (cost.seconds, cost.memory) for key, cost in costs.items()}
+        cells = [_tell_best(found, which) for found in (measured, predicted) for which in (0, 1)]
+        yield f"| {task.n_unknowns:,} | {wavelength / SIDE:g} | {' | '.join(cells)} |"
+
+
+def _name(solver: str, per_subdomain: int) -> str:
+    return TITLES[solver] + (f", {per_subdomain} x {per_subdomain}" if solver in DUAL and per_subdomain else "")
+
+
+def _candidate(solver: str, per_subdomain: int, task: StepTask) -> StepCandidate:
+    """The way of a run as the cost model calls it, with at least a subdomain a rank."""
+    n_subdomains = max(task.n_cells // per_subdomain**2, task.n_ranks) if per_subdomain else task.n_ranks
+    kind: Literal["none", "scaled", "two_level"] = "none"
+    if solver in ("scaled", "two_level"):
+        kind = "scaled" if solver == "scaled" else "two_level"
+    return StepCandidate(OWN[solver], n_subdomains, kind)
+
+
+def _tell_best(costs: dict[str, tuple[float, float]], which: int) -> str:
+    """The name of the least, 0: seconds, 1: bytes; and what the next one takes."""
+    least, *others = sorted(costs, key=lambda name: costs[name][which])
+    unit, digits = (1.0, "s") if which == 0 else (2.0**30, "GiB")
+    following = f"; {others[0]} {costs[others[0]][which] / unit:.2g}" if others else ""
+    return f"{least} {costs[least][which] / unit:.2g} {digits}{following}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES), help="elements along a side")
@@ -164,10 +220,14 @@ def main() -> None:
     parser.add_argument("--per-subdomain", nargs="+", type=int, default=list(PER_SUBDOMAIN),
                         help="elements along a subdomain's side; 0: one a rank")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--timeout", type=float, default=600.0, help="seconds a run")
+    parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="seconds a run")
     parser.add_argument("--append", action="store_true", help="keep the lines of earlier runs")
     parser.add_argument("--fit", action="store_true", help="fit constants to the runs that are there, run nothing")
+    parser.add_argument("--best", action="store_true", help="say which method is best, by the runs that are there")
     chosen = parser.parse_args()
+    if chosen.best:
+        print("\n".join(best()))
+        return
     if chosen.fit:
         print(fit())
         return

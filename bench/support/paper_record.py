@@ -58,6 +58,7 @@ def run_record(case: BenchCase, runs: list[Timed]) -> dict[str, Any]:
         "cpu_s_of_phases": sum(summary["cpu_seconds"].values()),
         "memory_total_bytes": sum(summary["peak_memory_bytes"]), "memory_bytes": summary["peak_memory_bytes"],
         "seconds": summary["seconds"], "cpu_seconds": summary["cpu_seconds"],
+        "result_bytes": (case.folder / f"{case.name}.vtkhdf").stat().st_size,
         "n_dofs": summary["n_dofs"], "n_subdomains": summary["n_subdomains"], "n_pixels": summary["n_pixels"],
         "iterations": summary["iterations"], "krylov_iterations": summary["krylov_iterations"],
         "cut_off_wavelength": summary["cut_off_wavelength"], "rms_error_px": rms, "rms_error_all_nodes_px": everywhere,

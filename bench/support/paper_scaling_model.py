@@ -13,8 +13,10 @@ KRYLOV_REDUCTIONS = 2
 
 LATENCY_S = 2e-6
 BANDWIDTH = 10e9
+NODE_RANKS = 64
 DISK = 2e9
-"""Assumed: seconds a message and a step of a reduction, bytes a second to a rank and to the file."""
+"""Assumed: seconds a message and a step of a reduction, bytes a second to a rank, ranks of a node, and bytes a second
+that a node reads from and writes to the disk that all share."""
 
 PER_RANK_PX = 10e6
 ELEMENT = 31.0
@@ -22,7 +24,9 @@ ELEMENT = 31.0
 
 MODEL_RANKS = (64, 256, 1000)
 GAUSS_NEWTON = 3
-PIXEL_PHASES = ("read", "assemble", "independent start", "residual", "finish", "write")
+PIXEL_PHASES = ("start", "read", "assemble", "independent start", "residual", "finish", "write")
+SET_UP_EXPONENT = 1.5
+"""Of the work of a subdomain's factor and of its interface over its unknowns: nested dissection's."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +60,10 @@ def all_phases(record: dict[str, Any]) -> list[str]:
     return sorted({e["phase"] for e in record["entries"]})
 
 
-def measured_table(runs: Sequence[dict[str, Any]]) -> str:
+def measured_table(title: str, runs: Sequence[dict[str, Any]]) -> str:
     """Work, messages and bytes of a rank, as counted."""
-    return table("Measured: one subdomain of about 320 x 320 px (400 Q4) a rank; numbers of the rank with most, "
-                 "iteration = of the Krylov solver, step = of Gauss-Newton", [_measured(r) for r in runs])
+    return table(f"{title}; numbers of the rank with most, iteration = of the Krylov solver, step = of Gauss-Newton",
+                 [_measured(r) for r in runs])
 
 
 def _measured(record: dict[str, Any]) -> Column:
@@ -71,7 +75,8 @@ def _measured(record: dict[str, Any]) -> Column:
     def milli(seconds: float) -> str:
         return f"{1e3 * seconds:.1f}"
 
-    return Column(record["case"].removeprefix("weak_").replace("_", " ranks, "), {
+    return Column(record["case"].partition("_")[2].replace("_", " ranks, "), {
+        "wall time, s": f"{record['wall_s']:.2f}",
         "unknowns": f"{record['n_dofs']}",
         "interface unknowns": f"{record['n_interface']}",
         "Gauss-Newton steps": f"{steps}",
@@ -89,9 +94,9 @@ def _measured(record: dict[str, Any]) -> Column:
         "all-gathers a step": f"{entry(record, ('residual', 'linear step'), ('allgather',), CALLS) / steps:.1f}",
         "bytes of them a step": f"{entry(record, ('residual', 'linear step'), ('allgather',), BYTES) / steps:.0f}",
         "coarse unknowns": f"{record.get('coarse_vectors', 0)}",
-        "CPU ms of one rank alone": milli(_alone(record)),
+        "CPU ms of one rank alone": milli(find_work_alone(record)),
         "bytes that one rank deals out": f"{entry(record, phases, ('scatter',), BYTES):.0f}",
-        "bytes that one rank gathers": f"{_to_root(record):.0f}",
+        "bytes that one rank gathers": f"{count_to_root(record):.0f}",
         "of these for the result file": f"{entry(record, ('write',), ('message', 'gather'), BYTES):.0f}",
         "memory of a rank, MiB": f"{max(record['memory_bytes']) / 2**20:.0f}",
     })
@@ -101,14 +106,24 @@ def _ratio(record: dict[str, Any], phases: Iterable[str], kinds: Iterable[str], 
     return entry(record, phases, kinds, column) / max(entry(record, phases, kinds, CALLS), 1)
 
 
-def _alone(record: dict[str, Any]) -> float:
+def find_work_alone(record: dict[str, Any]) -> float:
     """CPU seconds that one rank spends while others wait: on rank 0, and in mesh and start where one has more."""
+    return find_root_work(record) + find_uneven_work(record)
+
+
+def find_root_work(record: dict[str, Any]) -> float:
+    """CPU seconds of rank 0 alone, once the case is read and checked."""
     phases = [p for p in all_phases(record) if p != "checks"]
-    uneven = [entry(record, ("mesh", "start"), ("together",), CPU, which) for which in ("largest", "smallest")]
-    return entry(record, phases, ("on rank 0",), CPU, "rank_0") + uneven[0] - uneven[1]
+    return entry(record, phases, ("on rank 0",), CPU, "rank_0")
 
 
-def _to_root(record: dict[str, Any]) -> float:
+def find_uneven_work(record: dict[str, Any]) -> float:
+    """CPU seconds that one rank spends in mesh and start more than another."""
+    most, least = (entry(record, ("mesh", "start"), ("together",), CPU, which) for which in ("largest", "smallest"))
+    return most - least
+
+
+def count_to_root(record: dict[str, Any]) -> float:
     return entry(record, all_phases(record), ("gather", "message"), BYTES)
 
 
@@ -130,15 +145,22 @@ def _correction(record: dict[str, Any]) -> float:
     return _ratio(record, ("linear step",), ("coarse correction",), CPU)
 
 
-def model_table(runs: Sequence[dict[str, Any]], many: Sequence[dict[str, Any]], rates: dict[str, Any]) -> str:
-    """Weak scaling at 10 Mpx a rank, from the largest runs; seconds of a whole measurement."""
+def build_models(runs: Sequence[dict[str, Any]], many: Sequence[dict[str, Any]],
+                 rates: dict[str, Any]) -> list[Model]:
+    """Weak scaling to each of MODEL_RANKS, from the smallest and the largest runs and coarse problems."""
+    if len(runs) < 2 or len(many) < 2:
+        raise RuntimeError("too few runs for a model: weak ones with two numbers of ranks, and coarse ones, come first")
     two_level = sorted((r for r in runs if "coarse_vectors" in r), key=lambda r: int(r["n_ranks"]))
     exponent = log(many[-1]["coarse_factor_cpu_s"] / many[0]["coarse_factor_cpu_s"]) / log(
         many[-1]["coarse_vectors"] / many[0]["coarse_vectors"])
-    models = [Model(n, two_level[0], two_level[-1], many[-1], exponent, rates) for n in MODEL_RANKS]
+    return [Model(n, two_level[0], two_level[-1], many[-1], exponent, rates) for n in MODEL_RANKS]
+
+
+def model_table(models: Sequence[Model]) -> str:
+    """Sizes, and seconds of a whole measurement."""
     return table(f"Model, not measured: {PER_RANK_PX / 1e6:g} Mpx, {ELEMENT:g}-px Q4 and one subdomain a rank, "
                  f"{GAUSS_NEWTON} Gauss-Newton steps, two levels",
-                 [Column(f"{m.n_ranks} ranks, {m.n_ranks * PER_RANK_PX / 1e9:.2g} Gpx", m.sizes() | m.seconds())
+                 [Column(f"{m.n_ranks} ranks, {m.n_ranks * PER_RANK_PX / 1e9:.2g} Gpx", m.sizes() | m.tell_seconds())
                   for m in models])
 
 
@@ -219,14 +241,20 @@ class Model:
             "bytes that one rank gathers for the result": f"{self.gathered(result=True):.3g}",
         }
 
-    def seconds(self) -> dict[str, str]:
+    def tell_seconds(self) -> dict[str, str]:
+        """Seconds of a whole measurement by kind of work, and of all."""
+        found = self.seconds()
+        return {f"{name}, s": f"{value:.2g}" for name, value in {**found, "all": sum(found.values())}.items()}
+
+    def seconds(self) -> dict[str, float]:
         """Seconds of a whole measurement by kind of work."""
         calls, messages, n_bytes = self.exchange()
         larger = self.coarse_unknowns / self.coarse["coarse_vectors"]
         gathers = self.grown(lambda r: entry(r, ("residual", "linear step"), ("allgather",), BYTES) / r["iterations"],
                              "n_ranks")
-        found = {
+        return {
             "pixels": self._pixels(),
+            "local factors and interface set-up": self._set_up(),
             "local solves": self.iterations * self._local(),
             "neighbour exchange": self.iterations * calls * (messages * LATENCY_S + n_bytes / BANDWIDTH),
             "reductions": self.iterations * self.reductions() * 2 * log2(self.n_ranks) * LATENCY_S,
@@ -234,18 +262,28 @@ class Model:
             "coarse factorisation on one core": self.coarse["coarse_factor_cpu_s"] * larger**self.exponent,
             "coarse corrections on one core": self.iterations * self._corrections() * _correction(self.coarse)
             * larger * log2(self.coarse_unknowns) / log2(self.coarse["coarse_vectors"]),
-            "one rank alone: mesh, partition, subdomains, start": self.grown(_alone, "n_dofs"),
-            "dealing out and gathering at rank 0": (self.dealt() + self.gathered(result=False)
-                                                   + self.gathered(result=True)) / BANDWIDTH,
-            "writing the result": self.gathered(result=True) / DISK,
+            "one rank alone": self.grown(find_work_alone, "n_dofs"),
+            "dealing out and gathering at one rank": (self.dealt() + self.gathered(result=False)
+                                                     + self.gathered(result=True)) / BANDWIDTH,
+            "reading both images": NODE_RANKS * 2 * PER_RANK_PX / DISK,
+            "writing the result": NODE_RANKS * PER_RANK_PX * self._result_bytes() / DISK,
         }
-        return {f"{name}, s": f"{value:.2g}" for name, value in found.items()}
 
     def _pixels(self) -> float:
         """CPU seconds of a rank on its pixels; those of the rates are of all ranks and all pixels."""
         own = {p: self.rates["cpu_seconds"].get(p, 0.0) / self.rates["n_pixels"] * PER_RANK_PX for p in PIXEL_PHASES}
         own["residual"] *= GAUSS_NEWTON / self.rates["iterations"]
         return float(sum(own.values()))
+
+    def _result_bytes(self) -> float:
+        """Bytes of the result a pixel: nearly all are the residual image's."""
+        return float(self.rates["result_bytes"] / self.rates["n_pixels"])
+
+    def _set_up(self) -> float:
+        """CPU seconds of a rank's factor and interface."""
+        before = self.run["n_dofs"] / self.run["n_ranks"]
+        measured = entry(self.run, ("factorize", "interface set-up"), ("together",), CPU)
+        return float(measured * (self.dofs / before) ** SET_UP_EXPONENT)
 
     def _local(self) -> float:
         """CPU seconds of a rank's S_s and P_s an iteration; a solve with n unknowns costs n log n."""
