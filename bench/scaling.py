@@ -1,6 +1,6 @@
 """What grows with the number of ranks: oversubscribed runs with 4 to 144 ranks, and what they say about 1,000.
 
-Usage: python -m bench.scaling [KIND ...] [--ranks N ...]. Weak runs have one METIS subdomain of about 320 x 320 px a
+Usage: python -m bench.scaling [KIND ...] [--ranks N ...]. Weak runs have one subdomain of about 320 x 320 px a
 rank, strong runs share the same subdomains whatever the number of ranks, both at a short and at a long cut-off
 wavelength, with CPU seconds of work that communicates with nobody, and counted messages and bytes; coarse is the
 coarse problem of 64 to 1,024 subdomains on one rank. Records go to bench/results/scaling.jsonl; the tables of
@@ -154,12 +154,15 @@ TABLES: dict[str, Callable[[list[dict[str, Any]]], str]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kinds", nargs="*", choices=("weak", "strong", "coarse", "model"), metavar="KIND",
+    parser.add_argument("kinds", nargs="*", metavar="KIND",
                         help="weak, strong, coarse, and the model of what they say; all but strong by default")
     parser.add_argument("--ranks", type=int, nargs="+", default=RANKS, help="squares from 4 on, of strong runs any")
     parser.add_argument("--report", action="store_true", help="only print the tables of the records kept")
     chosen = parser.parse_args()
     kinds = chosen.kinds or ["weak", "coarse", "model"]
+    unknown = sorted(set(kinds) - {*TABLES, "model"})
+    if unknown:
+        parser.error(f"no such kind: {', '.join(unknown)}")
     rates = pixel_rates() if "model" in kinds else {}
     for kind in () if chosen.report else kinds:
         for n_ranks in chosen.ranks if kind in ("weak", "strong") else ():
