@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ddic.functionals.correlation import Correlation, read_correlation
 from ddic.functionals.pixel_kernels import BATCH
-from ddic.images.binned import ArraySource
-from ddic.images.sub_image import DeformedSubImage, MaskedSource
+from ddic.images.sub_image import DeformedSubImage
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import Mesh
 from support.pictures import source
@@ -87,10 +86,10 @@ def test_an_image_of_bytes_gives_the_same_bits() -> None:
     mesh = grid_mesh(6, 5, (13.0, 13.0), origin=(2.0, 5.0), cells="mixed", seed=4, jitter=0.0)
     q = np.random.default_rng(4).uniform(-20, 20, mesh.n_dofs)
     deformed = DeformedSubImage(source(g), 3)
-    of_bytes, of_floats = (read_correlation(mesh, MaskedSource(ArraySource(Path("memory"), image)), 3)
-                           for image in (f.astype(np.uint8), f.astype(np.float32)))
-    assert of_bytes.reference.values.dtype == np.uint8
-    assert of_bytes.reference.window.upper == f.shape[::-1]
+    of_floats = read_correlation(mesh, source(f), 3)
+    reference = of_floats.reference
+    assert reference.window.upper == f.shape[::-1]
+    of_bytes = replace(of_floats, reference=replace(reference, values=reference.values.astype(np.uint8)))
     found, expected = (part.compute_residual(deformed, q, all_kinds=True) for part in (of_bytes, of_floats))
     np.testing.assert_array_equal(found.moments, expected.moments)
     np.testing.assert_array_equal(found.cell_sums.values, expected.cell_sums.values)

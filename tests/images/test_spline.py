@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.functionals.correlation import read_correlation
+from ddic.images.binned import ArraySource
 from ddic.images.spline import PADDING, compute_coefficients, read_gradient, read_spline
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
@@ -193,3 +196,16 @@ def test_what_is_excluded_from_an_image_adds_up() -> None:
     assert twice.usable is not None
     np.testing.assert_array_equal(once.usable == 0, first)
     np.testing.assert_array_equal(twice.usable == 0, first | second)
+
+
+@pytest.mark.parametrize(("dtype", "kept"), [(np.uint8, np.uint8), (np.uint16, np.float32), (np.float32, np.float32)])
+def test_a_large_image_of_bytes_stays_bytes(monkeypatch: pytest.MonkeyPatch, dtype: type, kept: type) -> None:
+    monkeypatch.setattr("ddic.images.spline.BYTES_FROM", 40 * 50)
+    image = np.random.default_rng(4).integers(0, 256, (40, 50)).astype(dtype)
+    found = read_gradient(ArraySource(Path("memory"), image), Window((3, 5), (33, 25)), 3)
+    assert found.values.dtype == kept
+    np.testing.assert_array_equal(found.values, image[5:25, 3:33])
+    monkeypatch.setattr("ddic.images.spline.BYTES_FROM", 40 * 50 + 1)
+    small = read_gradient(ArraySource(Path("memory"), image), Window((3, 5), (33, 25)), 3)
+    assert small.values.dtype == np.float32
+    np.testing.assert_array_equal(found.slopes, small.slopes)

@@ -24,6 +24,10 @@ PADDING = {3: 2, 5: 3}
 FindUsable = Callable[[Window], NDArray[np.uint8] | None]
 """Gives the pixels of a window that count: 0 where one is excluded, None where nothing can be."""
 
+BYTES_FROM = 1 << 24
+"""Pixels of an image of bytes from which on its grey levels stay bytes: a smaller one would not be worth the kernels
+that are loaded for them beside those for float32, which coarse images need."""
+
 _BAND_ROWS = 512
 _BLOCK = 2**17
 """Pixels whose rows are filtered together, in float64 as much as the second-level cache holds."""
@@ -62,7 +66,7 @@ class GradientImage:
     window : Window
         Its pixels.
     values : (window.height, window.width) array
-        Grey levels: bytes where the image has bytes, a quarter of the memory, else float32.
+        Grey levels: bytes of a large image that has bytes, else float32.
     slopes : (dim, window.height, window.width) array
         Of the spline at pixel centres, along x and along y, grey levels per pixel.
     usable : (window.height, window.width) array or None
@@ -142,7 +146,8 @@ def read_gradient(source: ImageSource, window: Window, degree: int,
     """
     halo = HALO[degree] + PADDING[degree]
     held = _hold(source, window, halo, find_usable)
-    grey_type = np.uint8 if held.pixels.dtype == np.uint8 else np.float32
+    keeps_bytes = held.pixels.dtype == np.uint8 and source.extent.n_pixels >= BYTES_FROM
+    grey_type = np.uint8 if keeps_bytes else np.float32
     values: NDArray[np.float32 | np.uint8] = np.empty(window.shape, dtype=grey_type)
     slopes = np.empty((2, *window.shape), dtype=np.float32)
     wide = held.window
