@@ -36,8 +36,8 @@ OPEN: dict[tuple[str, str], str] = {
     ("right", "disturbed"):
         "beside a crack of 20 px, without l_c or with 128 px, a node of a cell that is not marked is 0.304 px off",
     ("scale", "dual"):
-        "1.12 times at 250,000 unknowns and l_c of 32 elements: 47 iterations of 25 ms, most of which reads the factors "
-        "from memory, are a third of 3.5 CPU s; of the set-up MUMPS's eliminations take 0.6 s. The other three hold",
+        "1.12 times at 250,000 unknowns and l_c of 32 elements: 47 iterations of 25 ms, which read the factors from "
+        "memory, are a third of 3.5 CPU s; of the set-up MUMPS's eliminations take 0.6 s. The other three hold",
     ("scale", "ranks"):
         "work of one rank grows by 1.34 and 1.45 times: beyond a megapixel one rank correlates one tile of the start's "
         "coarsest level, 384 px wide whatever the image, and from two starts; bytes, memory and model hold",
