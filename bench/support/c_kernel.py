@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,9 +62,10 @@ def right_hand_side(library: ctypes.CDLL, part: Correlation, spline: SplineImage
 
     u: (n_cells, 2, 4), displacement on the monomials, pixels.
     """
-    # The kernel takes float32 alone.
-    values = part.reference.values.astype(np.float32)
-    f, r, geometry = part.reference, part.raster, part.interpolation.geometry
+    r, geometry = part.raster, part.interpolation.geometry
+    # The kernel takes float32 alone, and steps through values and slopes alike.
+    values = np.ascontiguousarray(part.reference.values, dtype=np.float32)
+    f = replace(part.reference, values=values, slopes=np.ascontiguousarray(part.reference.slopes))
     of_cells: list[NDArray[Any]] = [part.order, geometry, u, r.first_row, r.row_ptr, r.starts, r.stops]
     assert all(a.flags.c_contiguous for a in of_cells)
     cells = _Cells(len(part.order), *(a.ctypes.data for a in of_cells))
