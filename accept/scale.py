@@ -29,6 +29,7 @@ from bench.support.paper_scaling_model import (
     find_uneven_work,
 )
 from bench.support.rows import Row
+from bench.support.tiled_texture import CELL
 
 BEFORE = "53d59106"
 """Commit before anything was spread over the ranks."""
@@ -91,9 +92,9 @@ def _compare(what: str, most: float, found: dict[str, tuple[float, float]], unit
 def _judge_bytes(what: str, few: dict[str, Records], now: dict[str, Records]) -> Row:
     """Bytes over ranks: those of a start that reads a coarse image whole do not grow, and few ranks share them."""
     of_few, of_many = ({case: _count_bytes(records[0]) for case, records in found.items()} for found in (few, now))
-    told = "; ".join(f"{case} l_c: {of_many[case] / 1e3:.1f} kB a rank of {MANY}, {of_few[case] / 1e3:.1f} of {FEW}"
+    told = "; ".join(f"{case} l_c: {of_many[case] / 1e3:.1f} kB a rank of the many, {of_few[case] / 1e3:.1f} of the few"
                      for case in of_many)
-    return Row(what, f"at most {MOST_BYTES / 1e3:g} kB a rank of {MANY}", told,
+    return Row(what, f"at most {MOST_BYTES / 1e3:g} kB a rank of the many", told,
                all(value <= MOST_BYTES for value in of_many.values()), judged_small=False)
 
 
@@ -130,7 +131,7 @@ def measure_coarse(scale: Scale) -> list[Row]:
     n_ranks = 2 if scale.smoke else COARSE_RANKS
     rows = []
     for n in (40,) if scale.smoke else COARSE_SIDES:
-        wavelength = 4 * 16.0 * PER_SUBDOMAIN
+        wavelength = 4 * CELL * PER_SUBDOMAIN
         record = _solve("two_level", n, wavelength, n_ranks, PER_SUBDOMAIN)
         vectors, seconds = record["coarse_vectors"] / record["n_subdomains"], record["coarse_factor_cpu_s"]
         rows.append(Row(
@@ -199,7 +200,7 @@ def _compare_factors(n: int, wavelength: float, scale: Scale) -> Row:
     told = ", ".join(f"{interface_solvers.TITLES[solver]} {cost.cpu:.1f} CPU s and {cost.memory:.2f} GiB"
                      for solver, cost in costs.items())
     last = runs[-1]["scaled"]
-    return Row(f"{last['n_dofs']:,} unknowns, l_c of {wavelength / 16:g} elements, 2 ranks: dual, "
+    return Row(f"{last['n_dofs']:,} unknowns, l_c of {wavelength / CELL:g} elements, 2 ranks: dual, "
                f"{last['n_subdomains']} subdomains, beside the better of MUMPS's factors, {len(runs)} runs alternated",
                f"at most {most_cpu:g} times the CPU time and {most_memory:g} times the memory",
                f"{cpu:.2f} and {memory:.2f} times ({told}; {last['iterations']} iterations)",

@@ -26,14 +26,13 @@ from typing import Any, Literal
 from bench.support.cost_fit import fit_constants, list_missing
 from bench.support.rows import RESULTS, append_result
 from bench.support.runs import DATA, ROOT, environment
+from bench.support.tiled_texture import CELL
 from ddic.solvers.step_costs import StepCandidate, StepMethod, StepTask, predict_costs
 
 JOB = "bench.support.interface_job"
 NAME = "interface_solvers"
 SIZES = (172, 353, 707, 1414)
 """Elements along a side: about 60 000, 250 000, 1 and 4 million unknowns."""
-SIDE = 16.0
-"""Of an element, pixels."""
 WAVELENGTHS = (0.0, 64.0, 128.0, 512.0)
 """Pixels; 0: without regularization."""
 RANKS = (1, 2)
@@ -161,9 +160,10 @@ def table() -> Iterator[str]:
         yield row([r for r in records if place(r) == key])
 
 
-OWN: dict[str, StepMethod] = {"assembled": "assembled", "conjugate_gradient": "conjugate_gradient", "scaled": "dual",
-                              "two_level": "dual"}
-"""ddic's methods by the name of a solver here."""
+OWN: dict[str, tuple[StepMethod, Literal["none", "scaled", "two_level"]]] = {
+    "assembled": ("assembled", "none"), "conjugate_gradient": ("conjugate_gradient", "none"),
+    "scaled": ("dual", "scaled"), "two_level": ("dual", "two_level")}
+"""ddic's methods and their preconditioners by the name of a solver here."""
 MODEL_RANKS = 64
 
 
@@ -183,11 +183,11 @@ def best() -> Iterator[str]:
                 runs.setdefault((r["solver"], r["per_subdomain"] or 0), []).append(r)
         measured = {_name(*key): (median(r["setup_cpu"] + r["solve_cpu"] for r in of_key),
                                   median(max(r["peak_memory_bytes"]) for r in of_key)) for key, of_key in runs.items()}
-        task = StepTask(2 * (n + 1) ** 2, n * n, wavelength / SIDE, MODEL_RANKS, 1)
+        task = StepTask(2 * (n + 1) ** 2, n * n, wavelength / CELL, MODEL_RANKS, 1)
         costs = {key: predict_costs(task, _candidate(*key, task)) for key in runs}
         predicted = {_name(*key): (cost.seconds, cost.memory) for key, cost in costs.items()}
         cells = [_tell_best(found, which) for found in (measured, predicted) for which in (0, 1)]
-        yield f"| {task.n_unknowns:,} | {wavelength / SIDE:g} | {' | '.join(cells)} |"
+        yield f"| {task.n_unknowns:,} | {wavelength / CELL:g} | {' | '.join(cells)} |"
 
 
 def _name(solver: str, per_subdomain: int) -> str:
@@ -199,10 +199,8 @@ def _name(solver: str, per_subdomain: int) -> str:
 def _candidate(solver: str, per_subdomain: int, task: StepTask) -> StepCandidate:
     """The way of a run as the cost model calls it, with at least a subdomain a rank."""
     n_subdomains = max(task.n_cells // per_subdomain**2, task.n_ranks) if per_subdomain else task.n_ranks
-    kind: Literal["none", "scaled", "two_level"] = "none"
-    if solver in ("scaled", "two_level"):
-        kind = "scaled" if solver == "scaled" else "two_level"
-    return StepCandidate(OWN[solver], n_subdomains, kind)
+    method, preconditioner = OWN[solver]
+    return StepCandidate(method, n_subdomains, preconditioner)
 
 
 def _tell_best(costs: dict[str, tuple[float, float]], which: int) -> str:

@@ -18,6 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from bench.support.paper_scaling_model import build_models, coarse_table, measured_table, model_table
 from bench.support.rows import RESULTS, append_result
 from bench.support.runs import DATA, images, run_job
@@ -79,9 +81,10 @@ def weak(n_ranks: int, n_jobs: int = 1) -> list[dict[str, Any]]:
         raise RuntimeError(f"--ranks {n_ranks}: must be a square from 4 on")
     # Without swap the system would end programs, and not necessarily this one.
     gib = n_jobs * n_ranks * RANK_MIB / 1024 / int(os.environ.get("SLURM_JOB_NUM_NODES", "1"))
-    if gib * 2**30 > MOST_OF_MEMORY * available_bytes():
+    free = psutil.virtual_memory().available / 2**30
+    if gib > MOST_OF_MEMORY * free:
         raise RuntimeError(f"--ranks {n_ranks}: takes {gib:.0f} GiB, too much of the "
-                           f"{available_bytes() / 2**30:.0f} that are free; leave out the largest numbers of ranks")
+                           f"{free:.0f} that are free; leave out the largest numbers of ranks")
     folder = pair(blocks * SIDE)
     files = []
     for name, wavelength, kind in LEVELS:
@@ -108,12 +111,6 @@ def pair(side: int) -> Path:
     waves = [str(WAVES), str(WAVES)]
     return images("sinusoidal", "--size", f"{size}x{size}", "--wavelength-x", *waves, "--wavelength-y", *waves,
                   folder=DATA / f"scaling_{size}")
-
-
-def available_bytes() -> int:
-    """Memory that programs can have now (Linux)."""
-    lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
-    return 1024 * int(next(line.split()[1] for line in lines if line.startswith("MemAvailable")))
 
 
 def coarse() -> list[dict[str, Any]]:

@@ -94,9 +94,9 @@ def _measured(record: dict[str, Any]) -> Column:
         "all-gathers a step": f"{entry(record, ('residual', 'linear step'), ('allgather',), CALLS) / steps:.1f}",
         "bytes of them a step": f"{entry(record, ('residual', 'linear step'), ('allgather',), BYTES) / steps:.0f}",
         "coarse unknowns": f"{record.get('coarse_vectors', 0)}",
-        "CPU ms of one rank alone": milli(find_work_alone(record)),
+        "CPU ms of one rank alone": milli(_alone(record)),
         "bytes that one rank deals out": f"{entry(record, phases, ('scatter',), BYTES):.0f}",
-        "bytes that one rank gathers": f"{count_to_root(record):.0f}",
+        "bytes that one rank gathers": f"{_to_root(record):.0f}",
         "of these for the result file": f"{entry(record, ('write',), ('message', 'gather'), BYTES):.0f}",
         "memory of a rank, MiB": f"{max(record['memory_bytes']) / 2**20:.0f}",
     })
@@ -106,7 +106,7 @@ def _ratio(record: dict[str, Any], phases: Iterable[str], kinds: Iterable[str], 
     return entry(record, phases, kinds, column) / max(entry(record, phases, kinds, CALLS), 1)
 
 
-def find_work_alone(record: dict[str, Any]) -> float:
+def _alone(record: dict[str, Any]) -> float:
     """CPU seconds that one rank spends while others wait: on rank 0, and in mesh and start where one has more."""
     return find_root_work(record) + find_uneven_work(record)
 
@@ -123,7 +123,7 @@ def find_uneven_work(record: dict[str, Any]) -> float:
     return most - least
 
 
-def count_to_root(record: dict[str, Any]) -> float:
+def _to_root(record: dict[str, Any]) -> float:
     return entry(record, all_phases(record), ("gather", "message"), BYTES)
 
 
@@ -262,7 +262,7 @@ class Model:
             "coarse factorisation on one core": self.coarse["coarse_factor_cpu_s"] * larger**self.exponent,
             "coarse corrections on one core": self.iterations * self._corrections() * _correction(self.coarse)
             * larger * log2(self.coarse_unknowns) / log2(self.coarse["coarse_vectors"]),
-            "one rank alone": self.grown(find_work_alone, "n_dofs"),
+            "one rank alone": self.grown(_alone, "n_dofs"),
             "dealing out and gathering at one rank": (self.dealt() + self.gathered(result=False)
                                                      + self.gathered(result=True)) / BANDWIDTH,
             "reading both images": NODE_RANKS * 2 * PER_RANK_PX / DISK,

@@ -39,10 +39,11 @@ def _vector_type(array_type: Any) -> Any:
     return _BYTES if array_type.dtype == types.uint8 else _VECTOR
 
 
-def _load(builder: Any, address: Any, alignment: int | None = None) -> Any:
+def _load(builder: Any, address: Any) -> Any:
     """The numbers at the address of a vector, as float32."""
-    values = builder.load(address, align=alignment)
-    return builder.uitofp(values, _VECTOR) if values.type == _BYTES else values
+    if address.type.pointee == _BYTES:
+        return builder.uitofp(builder.load(address, align=1), _VECTOR)
+    return builder.load(address, align=_ALIGNMENT)
 
 
 def _splat(builder: Any, value: Any) -> Any:
@@ -61,7 +62,7 @@ def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> An
         to_type, _, source_type, _ = signature.args
         to_array, to_index, source_array, source_index = arguments
         source_address = _address(context, builder, source_type, source_array, source_index)
-        values = _load(builder, source_address, 1 if source_type.dtype == types.uint8 else _ALIGNMENT)
+        values = _load(builder, source_address)
         to_address = _address(context, builder, to_type, to_array, to_index)
         builder.store(values, to_address, align=_ALIGNMENT)
         return context.get_dummy_value()
