@@ -16,7 +16,8 @@ import pickle
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from bench.support.coarse_record import record_coarse
 from ddic.methods.run import run_case
 from ddic.parallel.phases import Phase
 from ddic.parallel.team import _EXCHANGED, Team
+from ddic.parallel.workers import Workers
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.dual.coarse_space import CoarseSpace
@@ -54,12 +56,45 @@ class Ledger:
         self.phase = "checks"
         self.entries: Booked = defaultdict(lambda: [0.0, 0.0, 0.0, 0.0])
         self.sizes: dict[str, float] = {}
+        self._begun: tuple[str, float] | None = None
 
     def add(self, kind: str, *, messages: float = 0.0, n_bytes: float = 0.0, cpu: float = 0.0) -> None:
         """Book one call in the current phase."""
         entry = self.entries[self.phase, kind]
         for column, value in zip((CALLS, MESSAGES, BYTES, CPU), (1.0, messages, n_bytes, cpu), strict=True):
             entry[column] += value
+
+    @contextmanager
+    def working(self, kind: str) -> Iterator[None]:
+        """Book the CPU seconds of what communicates with nobody; work inside of work counts once."""
+        if self._begun is not None:
+            yield
+            return
+        self._begin(kind)
+        try:
+            yield
+        finally:
+            self._end()
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Leave out of work that calls others what these and their answers take."""
+        begun = self._begun
+        self._end()
+        try:
+            yield
+        finally:
+            if begun is not None:
+                self._begin(begun[0])
+
+    def _begin(self, kind: str) -> None:
+        self._begun = (kind, time.process_time())
+
+    def _end(self) -> None:
+        if self._begun is not None:
+            kind, since = self._begun
+            self._begun = None
+            self.add(kind, cpu=time.process_time() - since)
 
 
 LEDGER = Ledger()
@@ -161,31 +196,37 @@ def book_cpu(owner: type, name: str, kind: str) -> None:
 
     @functools.wraps(method)
     def timed(*arguments: Any, **keys: Any) -> Any:
-        begin = time.process_time()
-        try:
+        with LEDGER.working(kind):
             return method(*arguments, **keys)
-        finally:
-            LEDGER.add(kind, cpu=time.process_time() - begin)
 
     setattr(owner, name, timed)
 
 
-def book_argument(name: str, kind: str) -> None:
-    """Book the CPU seconds of the work that one of Team's methods is given."""
-    method = getattr(Team, name)
+def book_argument(owner: type, name: str, kind: str) -> None:
+    """Book the CPU seconds of the work that a method is given first."""
+    method = getattr(owner, name)
 
     @functools.wraps(method)
-    def timed(self: Team, work: Callable[[], Any]) -> Any:
+    def timed(self: Any, work: Callable[[], Any], *arguments: Any) -> Any:
         def booked() -> Any:
-            begin = time.process_time()
-            try:
+            with LEDGER.working(kind):
                 return work()
-            finally:
-                LEDGER.add(kind, cpu=time.process_time() - begin)
 
-        return method(self, booked)
+        return method(self, booked, *arguments)
 
-    setattr(Team, name, timed)
+    setattr(owner, name, timed)
+
+
+def leave_out(owner: type, name: str) -> None:
+    """Do not book what a method takes by itself: it waits for others."""
+    method = getattr(owner, name)
+
+    @functools.wraps(method)
+    def timed(*arguments: Any, **keys: Any) -> Any:
+        with LEDGER.waiting():
+            return method(*arguments, **keys)
+
+    setattr(owner, name, timed)
 
 
 def book_exchange(name: str) -> None:
@@ -230,8 +271,12 @@ def book_corrections() -> None:
 
 
 def main(n_jobs: int, case_files: list[str]) -> None:
-    book_argument("together", "together")
-    book_argument("build_on_root", "on rank 0")
+    book_argument(Team, "together", "together")
+    book_argument(Team, "build_on_root", "on rank 0")
+    # The rank that seeks the start, and the parts of it that it deals out.
+    book_argument(Workers, "run", "together")
+    leave_out(Workers, "map")
+    book_cpu(Workers, "_attempt", "together")
     book_cpu(DualSchurOperator, "apply_own", "S_s")
     book_cpu(DualPreconditioner, "apply_own", "P_s")
     book_exchange("fetch_ghosts")
