@@ -11,10 +11,9 @@ from ddic.partition.subdomain import scaled_incidence
 from ddic.solvers import petsc
 from ddic.solvers.dual import coarse_space
 from ddic.solvers.dual.coarse_space import CoarsePart, CoarseSpace, _soften, build_coarse_columns, find_low_energy_modes
-from ddic.solvers.dual.dual_problem import DualSchurOperator
+from ddic.solvers.dual.dual_problem import DualSchurOperator, PackedSymmetric
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.preconditioner import (
-    DenseInverse,
     DualPreconditioner,
     TwoLevelPreconditioner,
     assemble_schur,
@@ -81,7 +80,8 @@ def test_the_preconditioner_inverts_the_operator_on_the_coarse_space(monkeypatch
                  in zip(locals_, assemblies, schurs, columns, strict=True)]
         coarse = CoarseSpace(team, exchange, parts)
         one_level = DualPreconditioner(exchange, assemblies, [
-            DenseInverse(invert_by_blocks(s, local.n_jumps)) for s, local in zip(schurs, locals_, strict=True)])
+            PackedSymmetric(invert_by_blocks(s, local.n_jumps).astype(np.float32))
+            for s, local in zip(schurs, locals_, strict=True)])
         operator = DualSchurOperator(exchange, locals_)
         two_level = TwoLevelPreconditioner(operator, one_level, coarse)
         matrix = exchange.create_matrix(operator)

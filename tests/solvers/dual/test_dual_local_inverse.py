@@ -12,19 +12,17 @@ from ddic.errors import SingularSubdomainError, is_collective
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Weighting
 from ddic.solvers.dual import preconditioner
-from ddic.solvers.dual.dual_problem import LocalDual
+from ddic.solvers.dual.dual_problem import LocalDual, PackedSymmetric
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.preconditioner import (
     DENSE_ARRAYS,
     DENSE_LIMIT,
-    DenseInverse,
     LocalInverseKind,
     Preconditioner,
     SparseInverse,
     assemble_schur,
     build_preconditioner,
     build_schur_pair,
-    invert_by_blocks,
     is_dense,
 )
 from ddic.solvers.petsc import PetscStack
@@ -45,7 +43,8 @@ def test_both_ways_invert_the_same_operator(kind: str, wavelength: float | None,
             block = rng.normal(size=(len(local.compliance), 3))
             found = []
             for way in KINDS:
-                multiply, inverse = build_schur_pair(local, way)
+                schur, inverse = build_schur_pair(local, way)
+                multiply = local.multiply_schur if schur is None else schur.apply_to_columns
                 x = np.stack([inverse.apply(r) for r in block.T], axis=1)
                 # S_s S_s^-1 = I up to rounding times the condition number of S_s, 1e5 at most here; arrays are in
                 # single precision, whose rounding is 6e-8.
@@ -136,18 +135,34 @@ def test_the_step_holds_what_was_chosen() -> None:
             with PetscStack() as stack:
                 one_level, _ = build_preconditioner(stack, problem, "scaled", kind)
                 held[kind] = {type(inverse) for inverse in one_level.inverses}
-    assert held == {"auto": {DenseInverse}, "dense": {DenseInverse}, "sparse": {SparseInverse}}
+    assert held == {"auto": {PackedSymmetric}, "dense": {PackedSymmetric}, "sparse": {SparseInverse}}
 
 
-def test_dense_inverse_multiplies_in_single_precision() -> None:
-    problem = linear_step(8, 32.0)
-    with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
-        local = cut.interface()[1][0]
-        matrix = invert_by_blocks(assemble_schur(local), local.n_jumps)
-    inverse = DenseInverse(matrix)
-    expected = matrix @ matrix[0]
-    # Single precision has 6e-8; sums of tens of terms, all of them below the largest here.
-    np.testing.assert_allclose(inverse.apply(matrix[0]), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+@pytest.mark.parametrize(("precision", "rounding"), [(np.float32, 1e-6), (np.float64, 1e-15)])
+@pytest.mark.parametrize("n", [0, 1, 40])
+def test_a_packed_array_multiplies_in_its_precision(n: int, precision: type, rounding: float) -> None:
+    array = np.random.default_rng(0).normal(size=(n, n))
+    array += array.T
+    columns = np.random.default_rng(1).normal(size=(n, 3))
+    packed = PackedSymmetric(array.astype(precision))
+    expected = array @ columns
+    # Single precision has 6e-8, double 1e-16; sums of tens of terms below the largest here.
+    for found in (np.stack([packed.apply(x) for x in columns.T], axis=1), packed.apply_to_columns(columns)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=10 * rounding * np.abs(expected).max(initial=0.0))
+
+
+@pytest.mark.parametrize("wavelength", [None, 32.0])
+def test_products_with_arrays_are_those_by_local_solves(wavelength: float | None) -> None:
+    step = linear_step(10, wavelength)
+    with Decomposed(Team.alone(), step, split(step.mesh, "blocks", 4), "consistent") as cut, PetscStack() as stack:
+        problem = cut.dual_problem()
+        v = np.random.default_rng(0).normal(size=len(problem.exchange.ghosts))
+        by_solves = problem.operator.apply_own(v)
+        build_preconditioner(stack, problem, "scaled", "dense")
+        by_arrays = problem.operator.apply_own(v)
+    assert not np.array_equal(by_arrays, by_solves)
+    # Rounding times the condition number of A_s, about 1e3.
+    np.testing.assert_allclose(by_arrays, by_solves, rtol=0, atol=1e-11 * np.abs(by_solves).max())
 
 
 @pytest.mark.parallel([1, 2, 3, 4])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ddic.errors import SingularSubdomainError
 from ddic.parallel.team import Team
+from ddic.solvers.dual.dual_problem import PackedSymmetric
 from ddic.solvers.dual.preconditioner import (
-    DenseInverse,
     DualPreconditioner,
     assemble_schur,
     invert_by_blocks,
@@ -85,7 +85,7 @@ def test_application_sums_the_local_terms_and_is_symmetric() -> None:
     problem = linear_step(wavelength=32.0)
     with Decomposed(Team.world(), problem, split(problem.mesh, "metis", 9), "consistent") as cut:
         exchange, locals_ = cut.interface()
-        inverses = [DenseInverse(invert_by_blocks(assemble_schur(local), local.n_jumps)) for local in locals_]
+        inverses = [PackedSymmetric(invert_by_blocks(assemble_schur(local), local.n_jumps)) for local in locals_]
         context = DualPreconditioner(exchange, [local.incidence for local in locals_], inverses)
         x, y = exchange.create_vector(), exchange.create_vector()
         begin, end = x.getOwnershipRange()

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from petsc4py import PETSc
-from scipy import sparse
+from scipy import linalg, sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.functionals.scale_rows import scale_rows
@@ -152,12 +153,47 @@ def list_places(sizes: Sequence[int]) -> list[slice]:
     return [slice(begin, end) for begin, end in pairwise(ends)]
 
 
+class PackedSymmetric:
+    """A symmetric array of which one triangle is held: what a product costs is to read it from memory.
+
+    Parameters
+    ----------
+    array : (n, n) array of float32 or float64
+        Its precision is that of products.
+    """
+
+    def __init__(self, array: Array | NDArray[np.float32]) -> None:
+        self._n, self._dtype = len(array), array.dtype
+        self._multiply, self._multiply_columns = linalg.get_blas_funcs(("spmv", "symm"), dtype=array.dtype)
+        pack, self._unpack = linalg.get_lapack_funcs(("trttp", "tpttr"), dtype=array.dtype)
+        # In Fortran's order, which of a symmetric array is its own.
+        self._triangle, _ = pack(array.T)
+
+    def apply(self, x: Array) -> Array:
+        """Multiply a vector, (n,)."""
+        if not len(x):
+            # BLAS takes no empty array.
+            return x.copy()
+        return np.asarray(self._multiply(self._n, 1.0, self._triangle, x.astype(self._dtype)), dtype=np.float64)
+
+    def apply_to_columns(self, columns: Array) -> Array:
+        """Multiply columns, (n, k); for as long the array is held as a square."""
+        if not columns.size:
+            return columns.copy()
+        square, _ = self._unpack(self._n, self._triangle)
+        return np.asarray(self._multiply_columns(1.0, square, columns))
+
+    def destroy(self) -> None:
+        """Nothing to free: the array is Python's."""
+
+
 class DualSchurOperator:
     """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
-    The matrix is symmetric and quasi-definite; one local solve per subdomain and product. Its blocks, Eq. 27a-c,
-    are never formed. A subdomain's matrices are small: to call a product takes longer than to compute it. So there is
-    one product with a sparse matrix for all of a rank.
+    The matrix is symmetric and quasi-definite. Its blocks, Eq. 27a-c, are never formed: a product takes one local solve
+    per subdomain or, where ``use_arrays`` has given S_s, one product with that, which is several times smaller than the
+    factor. A subdomain's matrices are small: to call a product takes longer than to compute it. So there is one product
+    with a sparse matrix for all of a rank.
 
     Parameters
     ----------
@@ -173,9 +209,17 @@ class DualSchurOperator:
         self._fields = list_places([local.operator.n for local in local_duals])
         self._jump = sparse.hstack([local.jump for local in local_duals], format="csc").tocsr()
         self._jump_transposed = self._jump.T.tocsr()
-        incidence = sparse.hstack([local.incidence for local in local_duals], format="csc").tocsr()
+        self._incidence = sparse.hstack([local.incidence for local in local_duals], format="csc").tocsr()
+        # Made once: making the matrix takes longer than its product with a vector.
+        self._incidence_transposed = self._incidence.T
         compliance = sparse.diags(np.concatenate([local.compliance for local in local_duals]))
-        self._compliance = (incidence @ compliance @ incidence.T).tocsr()
+        self._compliance = (self._incidence @ compliance @ self._incidence.T).tocsr()
+        self._interfaces = list_places([len(local.compliance) for local in local_duals])
+        self._arrays: Sequence[PackedSymmetric] = ()
+
+    def use_arrays(self, arrays: Sequence[PackedSymmetric]) -> None:
+        """Multiply by S_s of each of this rank's subdomains from now on, none of whose cameras moves."""
+        self._arrays = arrays
 
     def mult(self, _: PETSc.Mat | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply y = S_tot x, x multipliers: PETSc's callback."""
@@ -186,6 +230,11 @@ class DualSchurOperator:
 
     def apply_own(self, v: Array) -> Array:
         """Sum G_s A_s^-1 G_s^T v - H_s v over this rank's subdomains, Eq. 30-31 of [BP17]; free of communication."""
+        if self._arrays:
+            on_interfaces = self._incidence_transposed @ v
+            products = [array.apply(on_interfaces[place])
+                        for array, place in zip(self._arrays, self._interfaces, strict=True)]
+            return np.asarray(self._incidence @ np.concatenate(products))
         y = np.concatenate(self.solve_forces(v))
         out = np.asarray(self._jump @ y - self._compliance @ v)
         for local in self._local_duals:

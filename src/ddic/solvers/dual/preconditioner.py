@@ -20,11 +20,16 @@ from ddic.solvers.dual.coarse_space import (
     CoarseColumns,
     CoarsePart,
     CoarseSpace,
-    SchurProduct,
     build_coarse_columns,
     find_low_energy_modes,
 )
-from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, LocalDual, list_places
+from ddic.solvers.dual.dual_problem import (
+    DualProblem,
+    DualSchurOperator,
+    LocalDual,
+    PackedSymmetric,
+    list_places,
+)
 from ddic.solvers.exchange import Exchange, fetch_copies
 from ddic.solvers.petsc import (
     INVERSE,
@@ -171,34 +176,7 @@ def _invert_definite(matrix: Array) -> Array:
     return np.asarray(below + below.T + np.diag(inverse.diagonal()))
 
 
-class DenseInverse:
-    """S_s^-1 in single precision, of which one triangle is held: what a product costs is to read it from memory.
-
-    A preconditioner needs no more digits, as long as the Krylov solver forms solutions from what it was given
-    (FGMRES does, GMRES would apply it once more in the end).
-
-    Parameters
-    ----------
-    inverse : (n interface unknowns, n interface unknowns) array
-        Of ``invert_by_blocks``, symmetric.
-    """
-
-    def __init__(self, inverse: Array) -> None:
-        # In Fortran's order, which of a symmetric array is its own.
-        self._triangle, _ = linalg.lapack.strttp(inverse.astype(np.float32).T)
-
-    def apply(self, r: Array) -> Array:
-        """Apply S_s^-1 to r, (n interface unknowns,)."""
-        if not len(r):
-            # BLAS takes no empty array.
-            return r.copy()
-        return np.asarray(linalg.blas.sspmv(len(r), 1.0, self._triangle, r.astype(np.float32)), dtype=np.float64)
-
-    def destroy(self) -> None:
-        """Nothing to free: the array is Python's."""
-
-
-LocalInverse = DenseInverse | SparseInverse
+LocalInverse = PackedSymmetric | SparseInverse
 """S_s^-1 of one subdomain."""
 
 
@@ -259,15 +237,18 @@ def is_dense(n_interface: int, kind: LocalInverseKind) -> bool:
     return kind == "dense"
 
 
-def build_schur_pair(local: LocalDual, kind: LocalInverseKind) -> tuple[SchurProduct, LocalInverse]:
-    """Build products with S_s, and its inverse, by arrays or by sparse factors; "auto" asks its size.
+def build_schur_pair(local: LocalDual, kind: LocalInverseKind) -> tuple[PackedSymmetric | None, LocalInverse]:
+    """Build S_s, and its inverse, as arrays, or of the inverse alone a sparse factor; "auto" asks their size.
 
-    The inverse is the caller's to destroy. Raises SingularSubdomainError where S_s is singular.
+    The inverse is the caller's to destroy. As an array it is of single precision: a preconditioner needs no more, as
+    long as the Krylov solver forms solutions from what it was given (FGMRES does, GMRES would apply it once more in the
+    end). Raises SingularSubdomainError where S_s is singular.
     """
-    if is_dense(len(local.compliance), kind):
-        schur = assemble_schur(local)
-        return schur.__matmul__, DenseInverse(invert_by_blocks(schur, local.n_jumps))
-    return local.multiply_schur, SparseInverse(local)
+    if not is_dense(len(local.compliance), kind):
+        return None, SparseInverse(local)
+    schur = assemble_schur(local)
+    inverse = invert_by_blocks(schur, local.n_jumps)
+    return PackedSymmetric(schur), PackedSymmetric(inverse.astype(np.float32))
 
 
 class TwoLevelPreconditioner:
@@ -392,22 +373,25 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
     # Before the inverses: what finds the modes is large, and gone when these are made.
     columns = _find_columns(problem, clock) if kind == "two_level" else []
 
-    def build_pairs() -> list[tuple[SchurProduct, LocalInverse]]:
+    def build_pairs() -> list[tuple[PackedSymmetric | None, LocalInverse]]:
         pairs = []
         for local in clock.note_each(locals_):
-            multiply_schur, inverse = build_schur_pair(local, local_inverse)
-            # One by one: where a later one is singular, those before are freed. The inverse alone, for S_s may go.
-            pairs.append((multiply_schur, stack.keep(inverse)))
+            schur, inverse = build_schur_pair(local, local_inverse)
+            # One by one: where a later one is singular, those before are freed.
+            pairs.append((schur, stack.keep(inverse)))
         return pairs
 
     pairs = problem.team.together(build_pairs)
+    arrays = [schur for schur, _ in pairs if schur is not None]
+    if len(arrays) == len(locals_) and not problem.n_motion:
+        problem.operator.use_arrays(arrays)
     one_level = DualPreconditioner(problem.exchange, assemblies, [inverse for _, inverse in pairs])
     context: Preconditioning = one_level
     coarse = None
     if kind == "two_level":
-        parts = [CoarsePart(local, assembly, multiply_schur, columns_s)
-                 for local, assembly, (multiply_schur, _), columns_s
-                 in zip(locals_, assemblies, pairs, columns, strict=True)]
+        parts = [CoarsePart(local, assembly, local.multiply_schur if schur is None else schur.apply_to_columns,
+                            columns_s)
+                 for local, assembly, (schur, _), columns_s in zip(locals_, assemblies, pairs, columns, strict=True)]
         coarse = stack.keep(CoarseSpace(problem.team, problem.exchange, parts))
         context = TwoLevelPreconditioner(problem.operator, one_level, coarse)
     if problem.n_motion:
