@@ -35,12 +35,6 @@ OPEN: dict[tuple[str, str], str] = {
         "residual sums of f43a80d have 69 and 76 Mpx/s on the machine of today, in turn with 75 and 72 of this code",
     ("right", "disturbed"):
         "beside a crack of 20 px, without l_c or with 128 px, a node of a cell that is not marked is 0.304 px off",
-    ("scale", "dual"):
-        "1.12 times at 250,000 unknowns and l_c of 32 elements: 47 iterations of 25 ms, which read the factors from "
-        "memory, are a third of 3.5 CPU s; of the set-up MUMPS's eliminations take 0.6 s. The other three hold",
-    ("scale", "ranks"):
-        "work of one rank grows by 1.34 and 1.45 times: beyond a megapixel one rank correlates one tile of the start's "
-        "coarsest level, 384 px wide whatever the image, and from two starts; bytes, memory and model hold",
     ("start", "random"):
         "three of 300, of the strongest noise (3.4 to 3.8 grey levels) on the coarsest speckle (7.4 to 7.8 px): "
         "one edge node, whose standard deviation is told as 0.10 to 0.17 px; from the truth the field is the same",
