@@ -191,7 +191,7 @@ class DualSchurOperator:
     """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
     The matrix is symmetric and quasi-definite. Its blocks, Eq. 27a-c, are never formed: a product takes one local solve
-    per subdomain or, where ``use_arrays`` has given S_s, one product with that, which is several times smaller than the
+    per subdomain or, where ``set_arrays`` has given S_s, one product with that, which is several times smaller than the
     factor. A subdomain's matrices are small: to call a product takes longer than to compute it. So there is one product
     with a sparse matrix for all of a rank.
 
@@ -217,7 +217,7 @@ class DualSchurOperator:
         self._interfaces = list_places([len(local.compliance) for local in local_duals])
         self._arrays: Sequence[PackedSymmetric] = ()
 
-    def use_arrays(self, arrays: Sequence[PackedSymmetric]) -> None:
+    def set_arrays(self, arrays: Sequence[PackedSymmetric]) -> None:
         """Multiply by S_s of each of this rank's subdomains from now on, none of whose cameras moves."""
         self._arrays = arrays
 

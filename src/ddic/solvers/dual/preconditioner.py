@@ -384,7 +384,7 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
     pairs = problem.team.together(build_pairs)
     arrays = [schur for schur, _ in pairs if schur is not None]
     if len(arrays) == len(locals_) and not problem.n_motion:
-        problem.operator.use_arrays(arrays)
+        problem.operator.set_arrays(arrays)
     one_level = DualPreconditioner(problem.exchange, assemblies, [inverse for _, inverse in pairs])
     context: Preconditioning = one_level
     coarse = None
