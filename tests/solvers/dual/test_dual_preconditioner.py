@@ -85,7 +85,8 @@ def test_application_sums_the_local_terms_and_is_symmetric() -> None:
     problem = linear_step(wavelength=32.0)
     with Decomposed(Team.world(), problem, split(problem.mesh, "metis", 9), "consistent") as cut:
         exchange, locals_ = cut.interface()
-        inverses = [PackedSymmetric(invert_by_blocks(assemble_schur(local), local.n_jumps)) for local in locals_]
+        inverses = [PackedSymmetric(invert_by_blocks(assemble_schur(local), local.n_jumps).astype(np.float32))
+                    for local in locals_]
         context = DualPreconditioner(exchange, [local.incidence for local in locals_], inverses)
         x, y = exchange.create_vector(), exchange.create_vector()
         begin, end = x.getOwnershipRange()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,6 +188,41 @@ class PackedSymmetric:
         """Nothing to free: the array is Python's."""
 
 
+class LocalProduct(Protocol):
+    """X_s, which acts on one subdomain's interface unknowns."""
+
+    def apply(self, x: Array) -> Array:
+        """Multiply a vector, (n interface unknowns,)."""
+        ...
+
+
+class SumOverSubdomains:
+    """Products with sum_s B_s X_s B_s^T over a rank's subdomains, free of communication.
+
+    Parameters
+    ----------
+    assemblies : sequence of (n ghost rows, n interface unknowns) csc_matrix
+        B_s of each, at least one: signed incidence, or its scaled version.
+    products : sequence of LocalProduct
+        X_s of each.
+    """
+
+    def __init__(self, assemblies: Sequence[sparse.csc_matrix], products: Sequence[LocalProduct]) -> None:
+        self._products = products
+        self._places = list_places([assembly.shape[1] for assembly in assemblies])
+        # Side by side: to call a product with a small matrix takes longer than to compute it.
+        self._assembly = sparse.hstack(assemblies, format="csc").tocsr()
+        # Made once: making the matrix takes longer than its product with a vector.
+        self._assembly_transposed = self._assembly.T
+
+    def apply(self, v: Array) -> Array:
+        """Multiply a vector, (n ghost rows,)."""
+        on_interfaces = self._assembly_transposed @ v
+        found = [product.apply(on_interfaces[place])
+                 for product, place in zip(self._products, self._places, strict=True)]
+        return np.asarray(self._assembly @ np.concatenate(found))
+
+
 class DualSchurOperator:
     """Context of the shell matrix: S_tot v = sum_s G_s A_s^-1 G_s^T v - H_s v, Eq. 26 of [BP17].
 
@@ -209,17 +245,14 @@ class DualSchurOperator:
         self._fields = list_places([local.operator.n for local in local_duals])
         self._jump = sparse.hstack([local.jump for local in local_duals], format="csc").tocsr()
         self._jump_transposed = self._jump.T.tocsr()
-        self._incidence = sparse.hstack([local.incidence for local in local_duals], format="csc").tocsr()
-        # Made once: making the matrix takes longer than its product with a vector.
-        self._incidence_transposed = self._incidence.T
+        incidence = sparse.hstack([local.incidence for local in local_duals], format="csc").tocsr()
         compliance = sparse.diags(np.concatenate([local.compliance for local in local_duals]))
-        self._compliance = (self._incidence @ compliance @ self._incidence.T).tocsr()
-        self._interfaces = list_places([len(local.compliance) for local in local_duals])
-        self._arrays: Sequence[PackedSymmetric] = ()
+        self._compliance = (incidence @ compliance @ incidence.T).tocsr()
+        self._by_arrays: SumOverSubdomains | None = None
 
     def set_arrays(self, arrays: Sequence[PackedSymmetric]) -> None:
         """Multiply by S_s of each of this rank's subdomains from now on, none of whose cameras moves."""
-        self._arrays = arrays
+        self._by_arrays = SumOverSubdomains([local.incidence for local in self._local_duals], arrays)
 
     def mult(self, _: PETSc.Mat | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply y = S_tot x, x multipliers: PETSc's callback."""
@@ -230,11 +263,8 @@ class DualSchurOperator:
 
     def apply_own(self, v: Array) -> Array:
         """Sum G_s A_s^-1 G_s^T v - H_s v over this rank's subdomains, Eq. 30-31 of [BP17]; free of communication."""
-        if self._arrays:
-            on_interfaces = self._incidence_transposed @ v
-            products = [array.apply(on_interfaces[place])
-                        for array, place in zip(self._arrays, self._interfaces, strict=True)]
-            return np.asarray(self._incidence @ np.concatenate(products))
+        if self._by_arrays is not None:
+            return self._by_arrays.apply(v)
         y = np.concatenate(self.solve_forces(v))
         out = np.asarray(self._jump @ y - self._compliance @ v)
         for local in self._local_duals:

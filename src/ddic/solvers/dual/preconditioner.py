@@ -28,7 +28,7 @@ from ddic.solvers.dual.dual_problem import (
     DualSchurOperator,
     LocalDual,
     PackedSymmetric,
-    list_places,
+    SumOverSubdomains,
 )
 from ddic.solvers.exchange import Exchange, fetch_copies
 from ddic.solvers.petsc import (
@@ -197,11 +197,7 @@ class DualPreconditioner:
                  inverses: Sequence[LocalInverse]) -> None:
         self._exchange = exchange
         self.inverses = inverses
-        self._places = list_places([assembly.shape[1] for assembly in assemblies])
-        # Side by side: to call a product with a small matrix takes longer than to compute it.
-        self._assembly = sparse.hstack(assemblies, format="csc").tocsr()
-        # Made once: making the matrix takes longer than its product with a vector.
-        self._assembly_transposed = self._assembly.T
+        self._sum = SumOverSubdomains(assemblies, inverses)
 
     def apply(self, _: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply y = P x to residuals x: PETSc's callback."""
@@ -211,10 +207,7 @@ class DualPreconditioner:
 
     def apply_own(self, r: Array) -> Array:
         """Sum B_s S_s^-1 B_s^T r, (n ghost rows,), over this rank's subdomains; free of communication."""
-        on_interfaces = self._assembly_transposed @ r
-        solved = [inverse.apply(on_interfaces[place])
-                  for inverse, place in zip(self.inverses, self._places, strict=True)]
-        return np.asarray(self._assembly @ np.concatenate(solved))
+        return self._sum.apply(r)
 
 
 LocalInverseKind = Literal["auto", "dense", "sparse"]
