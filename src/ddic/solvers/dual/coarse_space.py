@@ -26,10 +26,15 @@ SHIFT = 1e-13
 modes); such a combination is no interface vector at all, and the shift keeps the factorisation from breaking on it. A
 larger one makes the coarse solution less exact."""
 
-N_JUMPS, N_REACTIONS = 12, 13
-"""Modes of a subdomain whose jumps, and whose reactions, are coarse vectors; the softest, which hardly strain it, have
-next to no reactions. More save iterations (docs/solver.md) and make the coarse problem larger, which is what limits the
-number of subdomains."""
+FEW, MANY = (12, 13), (18, 18)
+"""Modes of a subdomain whose jumps, and whose reactions, are coarse vectors: many where it is stiff, few elsewhere. The
+softest of the few, which hardly strain it, have next to no reactions. More save iterations (docs/solver.md) and make
+the coarse problem larger, which is what limits the number of subdomains."""
+
+STIFF = 50.0
+"""A subdomain is stiff where any field that is not linear costs this many times the energy of a translation, which
+texture alone holds: from a cut-off wavelength of some five times its size on. Soft fields of the whole then span many
+subdomains, and are found only by coarse vectors that follow them more closely."""
 
 SchurProduct = Callable[[Array], Array]
 """S_s X from X, both (n interface unknowns, k)."""
@@ -73,10 +78,13 @@ class CoarsePart:
     columns: CoarseColumns
 
 
-def build_coarse_columns(modes: Array, local: LocalDual) -> CoarseColumns:
+def build_coarse_columns(local: LocalDual) -> CoarseColumns:
     """Build a subdomain's coarse vectors from its modes: their traces and reactions make separate ones."""
-    traces = local.trace @ modes
-    of_jumps = _find_basis(traces[:local.n_jumps, :N_JUMPS])
+    softened = _soften(local.system)
+    polynomials = _fit_polynomials(local.system.subdomain.kinematics, MANY[1] + _EXTRA)
+    n_jumps, n_reactions = MANY if _is_stiff(softened, polynomials, local.system.subdomain.mesh.dim) else FEW
+    traces = local.trace @ find_low_energy_modes(local, softened, polynomials, n_reactions)
+    of_jumps = _find_basis(traces[:local.n_jumps, :n_jumps])
     of_reactions = _find_basis(traces[local.n_jumps:])
     signs = np.repeat([1.0, -1.0], [of_jumps.shape[1], of_reactions.shape[1]])
     return CoarseColumns(np.asarray(linalg.block_diag(of_jumps, of_reactions)), signs)
@@ -196,27 +204,27 @@ _EXTRA = 4
 """Vectors beyond those wanted, which make the iteration converge faster."""
 
 
-def find_low_energy_modes(system: LocalSystem, operator: LocalOperator) -> Array:
-    """Find the lowest eigenvectors of A_s with softened interface rows, by block inverse iteration from polynomials.
+def find_low_energy_modes(local: LocalDual, softened: sparse.csr_matrix, polynomials: Array, n_modes: int) -> Array:
+    """Find fields that move a subdomain's interface at the least energy, softest first: (n_field, n_modes or fewer).
 
-    A few sweeps are enough: smooth fields are nearly the modes sought, and a coarse space needs their span, not each of
-    them. The modes, (n_field, N_REACTIONS or fewer), are orthonormal; ``system`` is without the motion of its camera.
+    They are eigenvectors of T^T T phi = mu A phi, T the trace on unknowns with jumps and A with softened interface
+    rows: A alone would put those first that ripple a free edge, of which the interface sees nothing. Block inverse
+    iteration from polynomials needs a few sweeps: smooth fields are nearly the modes sought, and a coarse space needs
+    their span, not each of them.
     """
-    kinematics = system.subdomain.kinematics
     # More modes than half the interface unknowns would make the coarse problem the interface problem.
-    n_useful = max(len(system.subdomain.jumps.unknowns) // 2, 1)
-    n_wanted = min(N_REACTIONS, kinematics.n_unknowns, n_useful)
-    n_columns = min(n_wanted + _EXTRA, kinematics.n_unknowns)
-    matrix = _soften(system)
+    n_wanted = min(n_modes, max(local.n_jumps // 2, 1))
+    block = _orthonormalize(polynomials[:, :min(n_wanted + _EXTRA, len(polynomials))])
+    trace = local.trace[:local.n_jumps]
     with PetscStack() as stack:
-        factor = operator
-        if system.controlled_stiffness is not None:
-            factor = stack.keep(LocalOperator(matrix, smallest_eigenvalue=0.0, where="softened subdomain"))
-        block = _orthonormalize(_make_start(kinematics, n_columns))
+        factor = local.operator
+        if local.system.controlled_stiffness is not None:
+            factor = stack.keep(LocalOperator(softened, smallest_eigenvalue=0.0, where="softened subdomain"))
         for _ in range(_SWEEPS):
-            block = _orthonormalize(factor.solve_many(block))
-    rotation = linalg.eigh(block.T @ (matrix @ block))[1]
-    return np.asarray(block @ rotation[:, :n_wanted])
+            block = _orthonormalize(factor.solve_many(trace.T @ (trace @ block)))
+    moved = trace @ block
+    rotation = linalg.eigh(moved.T @ moved, block.T @ (softened @ block))[1]
+    return np.asarray(block @ rotation[:, :-n_wanted - 1:-1])
 
 
 def _soften(system: LocalSystem) -> sparse.csr_matrix:
@@ -229,19 +237,26 @@ def _soften(system: LocalSystem) -> sparse.csr_matrix:
     return replace(system, stiffness=softened, projection=None).operator
 
 
-def _make_start(kinematics: Kinematics, n_columns: int) -> Array:
-    """Unknowns that fit polynomials of rising degree in each component, filled up with random vectors."""
+def _fit_polynomials(kinematics: Kinematics, n: int) -> Array:
+    """Unknowns that fit n polynomials of rising degree in each component, (n_field, n)."""
     nodes = kinematics.mesh.nodes
     centred = nodes - nodes.mean(axis=0)
     x = centred / max(float(np.abs(centred).max()), 1e-300)
     dim = kinematics.mesh.dim
-    start = np.random.default_rng(0).standard_normal((kinematics.n_unknowns, n_columns))
-    fields = [(exponents, component) for exponents in _list_exponents(dim, n_columns) for component in range(dim)]
-    for column, (exponents, component) in enumerate(fields[:n_columns]):
+    fitted = np.empty((kinematics.n_unknowns, n))
+    fields = [(exponents, component) for exponents in _list_exponents(dim, n) for component in range(dim)]
+    for column, (exponents, component) in enumerate(fields[:n]):
         field = np.zeros(nodes.shape)
         field[:, component] = np.prod(x ** np.array(exponents), axis=1)
-        start[:, column] = kinematics.fit(field.ravel())
-    return start
+        fitted[:, column] = kinematics.fit(field.ravel())
+    return fitted
+
+
+def _is_stiff(softened: sparse.csr_matrix, polynomials: Array, dim: int) -> bool:
+    """Whether the softest polynomial beyond the linear ones costs STIFF times the energy of a translation."""
+    energies = (polynomials * (softened @ polynomials)).sum(axis=0) / (polynomials**2).sum(axis=0)
+    n_linear = dim * (dim + 1)
+    return bool(energies[n_linear:].min() > STIFF * energies[:dim].min())
 
 
 def _list_exponents(dim: int, n: int) -> list[tuple[int, ...]]:

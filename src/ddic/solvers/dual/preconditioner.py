@@ -21,7 +21,6 @@ from ddic.solvers.dual.coarse_space import (
     CoarsePart,
     CoarseSpace,
     build_coarse_columns,
-    find_low_energy_modes,
 )
 from ddic.solvers.dual.dual_problem import (
     DualProblem,
@@ -395,8 +394,7 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
 def _find_columns(problem: DualProblem, clock: PhaseClock) -> list[CoarseColumns]:
     """Coarse vectors of each owned subdomain."""
     return problem.team.together(lambda: [
-        build_coarse_columns(find_low_energy_modes(local.system, local.operator), local)
-        for local in clock.note_each(problem.local_duals, end=OF_COLUMNS)])
+        build_coarse_columns(local) for local in clock.note_each(problem.local_duals, end=OF_COLUMNS)])
 
 
 def _scale_assemblies(problem: DualProblem) -> list[sparse.csc_matrix]:
