@@ -35,9 +35,6 @@ OPEN: dict[tuple[str, str], str] = {
         "residual sums of f43a80d have 69 and 76 Mpx/s on the machine of today, in turn with 75 and 72 of this code",
     ("right", "disturbed"):
         "beside a crack of 20 px, without l_c or with 128 px, a node of a cell that is not marked is 0.304 px off",
-    ("solver", "mixed"):
-        "32 iterations of two levels at l_c = 8 H, 12 before the coarse space had 25 vectors a subdomain in place of "
-        "80: ragged subdomains of T3 and Q4 want more of them than squares, which take 19",
     ("start", "random"):
         "three of 300, of the strongest noise (3.4 to 3.8 grey levels) on the coarsest speckle (7.4 to 7.8 px): "
         "one edge node, whose standard deviation is told as 0.10 to 0.17 px; from the truth the field is the same",

@@ -252,7 +252,7 @@ def average_copies(q: Field) -> ContinuousField:
     largest = 0.0
     for subdomain, q_s in zip(q.subdomains, q, strict=True):
         interface = subdomain.jumps
-        mean, spread = _mean_and_spread(interface, numbers, copies)
+        mean, spread = average_chains(interface, numbers, copies)
         averaged = np.array(q_s)
         averaged[interface.unknowns] = mean
         parts.append(averaged)
@@ -262,8 +262,8 @@ def average_copies(q: Field) -> ContinuousField:
     return ContinuousField(q.with_parts(parts), q.team.maximum(largest))
 
 
-def _mean_and_spread(interface: Interface, numbers: IntArray, copies: Array) -> tuple[Array, Array]:
-    """Mean, and largest less smallest, of the copies of each of a subdomain's interface unknowns."""
+def average_chains(interface: Interface, numbers: IntArray, copies: Array) -> tuple[Array, Array]:
+    """Average what ``fetch_copies`` found at each of a subdomain's interface unknowns; also largest less smallest."""
     values = copies[np.searchsorted(numbers, copies_of(interface))]
     if len(values) == 0:
         return values, values

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import linalg, sparse
@@ -17,6 +20,7 @@ from ddic.solvers.dual.coarse_space import (
     _soften,
     build_coarse_columns,
     find_low_energy_modes,
+    find_unlike_neighbours,
 )
 from ddic.solvers.dual.dual_problem import DualSchurOperator, PackedSymmetric
 from ddic.solvers.dual.dual_step import DualSettings
@@ -56,7 +60,7 @@ def test_a_subdomain_smaller_than_the_number_of_modes_gives_what_it_has() -> Non
     problem = linear_step(n=4, wavelength=16.0)
     with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 16), "consistent") as cut:
         local = cut.interface()[1][0]
-        columns = build_coarse_columns(local)
+        columns = build_coarse_columns(local, has_unlike_neighbour=False)
     assert np.count_nonzero(columns.signs > 0) == local.n_jumps // 2
 
 
@@ -66,7 +70,24 @@ def test_stiff_subdomains_bring_more_vectors(wavelength: float | None, jumps: in
     # Of 128 px.
     with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 4), "consistent") as cut:
         for local in cut.interface()[1]:
-            assert np.count_nonzero(build_coarse_columns(local).signs > 0) == jumps
+            for has_unlike_neighbour, n in ((False, jumps), (True, 26)):
+                columns = build_coarse_columns(local, has_unlike_neighbour)
+                assert np.count_nonzero(columns.signs > 0) == n
+
+
+@pytest.mark.parallel(RANKS)
+@pytest.mark.parametrize(("wavelength", "contrast", "unlike"), [
+    (64.0, 0.25, [0, 1, 3, 4]), (64.0, 1 / 3, []), (None, 0.25, [])])
+def test_neighbours_of_another_texture_are_found(wavelength: float | None, contrast: float, unlike: list[int]) -> None:
+    problem = linear_step(wavelength=wavelength)
+    with Decomposed(Team.world(), problem, split(problem.mesh, "blocks", 9), "consistent") as cut:
+        # Texture goes by the square of the contrast: 16 and 9 times. Block 4 touches block 0 in a point.
+        scales = [contrast**2 if s.subdomain.index == 0 else 1.0 for s in cut.systems]
+        cut.systems = [replace(s, hessian=scale * s.hessian) for s, scale in zip(cut.systems, scales, strict=True)]
+        found = find_unlike_neighbours(cut.dual_problem())
+        numbers = [s.subdomain.index for s, is_unlike in zip(cut.systems, found, strict=True) if is_unlike]
+        everywhere = list(itertools.chain.from_iterable(cut.team.comm.allgather(numbers)))
+    assert sorted(everywhere) == unlike
 
 
 @pytest.mark.parallel(RANKS)
@@ -88,7 +109,7 @@ def test_the_preconditioner_inverts_the_operator_on_the_coarse_space(monkeypatch
             both = [scaled_incidence(i, plain, everything, rows) for i in (s.jumps, s.reactions)]
             assemblies.append(_side_by_side(both))
         schurs = [assemble_schur(local) for local in locals_]
-        columns = [build_coarse_columns(local) for local in locals_]
+        columns = [build_coarse_columns(local, has_unlike_neighbour=False) for local in locals_]
         parts = [CoarsePart(local, assembly, schur.__matmul__, columns_s) for local, assembly, schur, columns_s
                  in zip(locals_, assemblies, schurs, columns, strict=True)]
         coarse = CoarseSpace(team, exchange, parts)

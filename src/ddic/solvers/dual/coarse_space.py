@@ -11,8 +11,8 @@ from ddic.arrays import Array, IntArray
 from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.kinematics import Kinematics
 from ddic.parallel.team import Team
-from ddic.solvers.dual.dual_problem import LocalDual
-from ddic.solvers.exchange import Exchange, ParallelEntries
+from ddic.solvers.dual.dual_problem import DualProblem, LocalDual
+from ddic.solvers.exchange import Exchange, ParallelEntries, average_chains, fetch_copies
 from ddic.solvers.local_system import LocalOperator, LocalSystem
 from ddic.solvers.petsc import PetscStack, create_coarse_ksp, to_petsc_integers
 
@@ -26,15 +26,19 @@ SHIFT = 1e-13
 modes); such a combination is no interface vector at all, and the shift keeps the factorisation from breaking on it. A
 larger one makes the coarse solution less exact."""
 
-FEW, MANY = (12, 13), (18, 18)
-"""Modes of a subdomain whose jumps, and whose reactions, are coarse vectors: many where it is stiff, few elsewhere. The
-softest of the few, which hardly strain it, have next to no reactions. More save iterations (docs/solver.md) and make
-the coarse problem larger, which is what limits the number of subdomains."""
+FEW, MANY, MOST = (12, 13), (18, 18), (26, 26)
+"""Modes of a subdomain whose jumps, and whose reactions, are coarse vectors: many where it is stiff, most where a
+neighbour's texture is unlike its own, few elsewhere. The softest of the few, which hardly strain it, have next to no
+reactions. More save iterations (docs/solver.md) and make the coarse problem larger, which is what limits the number of
+subdomains."""
 
 STIFF = 50.0
 """A subdomain is stiff where any field that is not linear costs this many times the energy of a translation, which
 texture alone holds: from a cut-off wavelength of some five times its size on. Soft fields of the whole then span many
 subdomains, and are found only by coarse vectors that follow them more closely."""
+
+UNLIKE = 10.0
+"""Ratio of two neighbours' mean texture, grey levels squared per pixel squared, from which on they count as unlike."""
 
 SchurProduct = Callable[[Array], Array]
 """S_s X from X, both (n interface unknowns, k)."""
@@ -78,11 +82,29 @@ class CoarsePart:
     columns: CoarseColumns
 
 
-def build_coarse_columns(local: LocalDual) -> CoarseColumns:
+def find_unlike_neighbours(problem: DualProblem) -> list[bool]:
+    """Find the owned regularized subdomains of which a neighbour's texture is unlike their own; collective."""
+    chains = []
+    for local in problem.local_duals:
+        jumps = local.system.subdomain.jumps
+        texture = np.log(max(local.system.hessian.diagonal().mean(), 1e-300))
+        chains.append((jumps, np.full(len(jumps.unknowns), texture)))
+    copies, textures = fetch_copies(problem.team, problem.subdomains, chains)
+    spreads = [average_chains(jumps, copies, textures)[1] for jumps, _ in chains]
+    # Texture alone is weighted as it is where the local inverses are assembled.
+    return [local.system.stiffness is not None and bool((spread > np.log(UNLIKE)).any())
+            for local, spread in zip(problem.local_duals, spreads, strict=True)]
+
+
+def build_coarse_columns(local: LocalDual, has_unlike_neighbour: bool) -> CoarseColumns:
     """Build a subdomain's coarse vectors from its modes: their traces and reactions make separate ones."""
     softened = _soften(local.system)
-    polynomials = _fit_polynomials(local.system.subdomain.kinematics, MANY[1] + _EXTRA)
-    n_jumps, n_reactions = MANY if _is_stiff(softened, polynomials, local.system.subdomain.mesh.dim) else FEW
+    polynomials = _fit_polynomials(local.system.subdomain.kinematics, MOST[1] + _EXTRA)
+    n_jumps, n_reactions = FEW
+    if has_unlike_neighbour:
+        n_jumps, n_reactions = MOST
+    elif _is_stiff(softened, polynomials, local.system.subdomain.mesh.dim):
+        n_jumps, n_reactions = MANY
     traces = local.trace @ find_low_energy_modes(local, softened, polynomials, n_reactions)
     of_jumps = _find_basis(traces[:local.n_jumps, :n_jumps])
     of_reactions = _find_basis(traces[local.n_jumps:])

@@ -21,6 +21,7 @@ from ddic.solvers.dual.coarse_space import (
     CoarsePart,
     CoarseSpace,
     build_coarse_columns,
+    find_unlike_neighbours,
 )
 from ddic.solvers.dual.dual_problem import (
     DualProblem,
@@ -392,9 +393,11 @@ def build_preconditioner(stack: PetscStack, problem: DualProblem, kind: Precondi
 
 
 def _find_columns(problem: DualProblem, clock: PhaseClock) -> list[CoarseColumns]:
-    """Coarse vectors of each owned subdomain."""
+    """Coarse vectors of each owned subdomain; collective."""
+    unlike = find_unlike_neighbours(problem)
     return problem.team.together(lambda: [
-        build_coarse_columns(local) for local in clock.note_each(problem.local_duals, end=OF_COLUMNS)])
+        build_coarse_columns(local, is_unlike)
+        for local, is_unlike in zip(clock.note_each(problem.local_duals, end=OF_COLUMNS), unlike, strict=True)])
 
 
 def _scale_assemblies(problem: DualProblem) -> list[sparse.csc_matrix]:
