@@ -1,19 +1,18 @@
 """The coarse space of the interface problem: low-energy modes of the subdomains, seen by the interface."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from petsc4py import PETSc
 from scipy import linalg, sparse
 
 from ddic.arrays import Array, IntArray
-from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.kinematics import Kinematics
 from ddic.parallel.team import Team
 from ddic.solvers.dual.dual_problem import DualProblem, LocalDual
 from ddic.solvers.exchange import Exchange, ParallelEntries, average_chains, fetch_copies
-from ddic.solvers.local_system import LocalOperator, LocalSystem
+from ddic.solvers.local_system import LocalSystem
 from ddic.solvers.petsc import PetscStack, create_coarse_ksp, to_petsc_integers
 
 INDEPENDENT = 1e-8
@@ -26,13 +25,12 @@ SHIFT = 1e-13
 modes); such a combination is no interface vector at all, and the shift keeps the factorisation from breaking on it. A
 larger one makes the coarse solution less exact."""
 
-FEW, MANY, MOST = (12, 13), (18, 18), (26, 26)
-"""Modes of a subdomain whose jumps, and whose reactions, are coarse vectors: many where it is stiff, most where a
-neighbour's texture is unlike its own, few elsewhere. The softest of the few, which hardly strain it, have next to no
-reactions. More save iterations (docs/solver.md) and make the coarse problem larger, which is what limits the number of
-subdomains."""
+FEW, MANY, MOST = 12, 18, 26
+"""Modes of a subdomain whose jumps and reactions are coarse vectors: many where it is stiff, most where a neighbour's
+texture is unlike its own, few elsewhere. More save iterations (docs/solver.md) and make the coarse problem larger,
+which is what limits the number of subdomains."""
 
-STIFF = 50.0
+STIFF = 25.0
 """A subdomain is stiff where any field that is not linear costs this many times the energy of a translation, which
 texture alone holds: from a cut-off wavelength of some five times its size on. Soft fields of the whole then span many
 subdomains, and are found only by coarse vectors that follow them more closely."""
@@ -98,16 +96,14 @@ def find_unlike_neighbours(problem: DualProblem) -> list[bool]:
 
 def build_coarse_columns(local: LocalDual, has_unlike_neighbour: bool) -> CoarseColumns:
     """Build a subdomain's coarse vectors from its modes: their traces and reactions make separate ones."""
-    softened = _soften(local.system)
-    polynomials = _fit_polynomials(local.system.subdomain.kinematics, MOST[1] + _EXTRA)
-    n_jumps, n_reactions = FEW
+    polynomials = _fit_polynomials(local.system.subdomain.kinematics, MOST + _EXTRA)
+    n_modes = FEW
     if has_unlike_neighbour:
-        n_jumps, n_reactions = MOST
-    elif _is_stiff(softened, polynomials, local.system.subdomain.mesh.dim):
-        n_jumps, n_reactions = MANY
-    traces = local.trace @ find_low_energy_modes(local, softened, polynomials, n_reactions)
-    of_jumps = _find_basis(traces[:local.n_jumps, :n_jumps])
-    of_reactions = _find_basis(traces[local.n_jumps:])
+        n_modes = MOST
+    elif _is_stiff(local.system, polynomials):
+        n_modes = MANY
+    traces = local.trace @ find_soft_modes(local, polynomials, n_modes)
+    of_jumps, of_reactions = (_find_basis(part) for part in np.split(traces, [local.n_jumps]))
     signs = np.repeat([1.0, -1.0], [of_jumps.shape[1], of_reactions.shape[1]])
     return CoarseColumns(np.asarray(linalg.block_diag(of_jumps, of_reactions)), signs)
 
@@ -215,10 +211,6 @@ def _fetch_rows(matrix: PETSc.Mat, rows: IntArray) -> tuple[IntArray, sparse.csr
     return touched.astype(np.int64), fetched
 
 
-SOFTENING = 0.03
-"""Weight of the interface rows of Kbar_s in the energy whose modes are sought. A reaction at the interface is balanced
-by the neighbours' in the coupled problem, so that A_s with its full rows counts as stiff what the whole finds soft."""
-
 _SWEEPS = 2
 """Inverse iterations: more bring the block nearer to the eigenvectors, each for a solve with all its columns."""
 
@@ -226,37 +218,33 @@ _EXTRA = 4
 """Vectors beyond those wanted, which make the iteration converge faster."""
 
 
-def find_low_energy_modes(local: LocalDual, softened: sparse.csr_matrix, polynomials: Array, n_modes: int) -> Array:
+def find_soft_modes(local: LocalDual, polynomials: Array, n_modes: int) -> Array:
     """Find fields that move a subdomain's interface at the least energy, softest first: (n_field, n_modes or fewer).
 
-    They are eigenvectors of T^T T phi = mu A phi, T the trace on unknowns with jumps and A with softened interface
-    rows: A alone would put those first that ripple a free edge, of which the interface sees nothing. Block inverse
-    iteration from polynomials needs a few sweeps: smooth fields are nearly the modes sought, and a coarse space needs
-    their span, not each of them.
+    They solve T^T T phi = mu A_s phi, T the trace on unknowns with jumps, for the largest mu: what a force on the
+    interface moves most, and T phi the eigenvectors of the jumps' block of S_s. Block inverse iteration from
+    polynomials needs a few sweeps: smooth fields are nearly the modes sought, and a coarse space needs their span, not
+    each of them. ``polynomials`` are (n_field, n_modes + _EXTRA or more).
     """
     # More modes than half the interface unknowns would make the coarse problem the interface problem.
     n_wanted = min(n_modes, max(local.n_jumps // 2, 1))
-    block = _orthonormalize(polynomials[:, :min(n_wanted + _EXTRA, len(polynomials))])
     trace = local.trace[:local.n_jumps]
-    with PetscStack() as stack:
-        factor = local.operator
-        if local.system.controlled_stiffness is not None:
-            factor = stack.keep(LocalOperator(softened, smallest_eigenvalue=0.0, where="softened subdomain"))
-        for _ in range(_SWEEPS):
-            block = _orthonormalize(factor.solve_many(trace.T @ (trace @ block)))
+    block = polynomials[:, :min(n_wanted + _EXTRA, len(polynomials))]
+    for _ in range(_SWEEPS):
+        block = local.operator.solve_many(trace.T @ (trace @ _orthonormalize(block)))
+    block = _orthonormalize(block)
     moved = trace @ block
-    rotation = linalg.eigh(moved.T @ moved, block.T @ (softened @ block))[1]
+    rotation = linalg.eigh(moved.T @ moved, _multiply_energies(local.system, block))[1]
     return np.asarray(block @ rotation[:, :-n_wanted - 1:-1])
 
 
-def _soften(system: LocalSystem) -> sparse.csr_matrix:
-    """A_s with the interface rows of Kbar_s weighted by SOFTENING, (n_field, n_field)."""
-    if system.controlled_stiffness is None:
-        return system.operator
-    weights = np.ones(system.controlled_stiffness.shape[0])
-    weights[system.subdomain.reactions.unknowns] = np.sqrt(SOFTENING)
-    softened = scale_rows(system.controlled_stiffness, weights)
-    return replace(system, stiffness=softened, projection=None).operator
+def _multiply_energies(system: LocalSystem, fields: Array) -> Array:
+    """fields^T A_s fields, (k, k), without A_s."""
+    energies = fields.T @ (system.hessian @ fields)
+    if system.controlled_stiffness is not None:
+        forces = system.controlled_stiffness @ fields
+        energies += system.eta * (forces.T @ forces)
+    return np.asarray(energies)
 
 
 def _fit_polynomials(kinematics: Kinematics, n: int) -> Array:
@@ -274,11 +262,19 @@ def _fit_polynomials(kinematics: Kinematics, n: int) -> Array:
     return fitted
 
 
-def _is_stiff(softened: sparse.csr_matrix, polynomials: Array, dim: int) -> bool:
+def _is_stiff(system: LocalSystem, polynomials: Array) -> bool:
     """Whether the softest polynomial beyond the linear ones costs STIFF times the energy of a translation."""
-    energies = (polynomials * (softened @ polynomials)).sum(axis=0) / (polynomials**2).sum(axis=0)
+    if system.controlled_stiffness is None:
+        return False
+    squares = (polynomials**2).sum(axis=0)
+    forces = system.controlled_stiffness @ polynomials
+    # Those at the interface are the cut's: the finer the elements, the larger.
+    forces[system.subdomain.reactions.unknowns] = 0.0
+    gaps = system.eta * (forces**2).sum(axis=0) / squares
+    textures = (polynomials * (system.hessian @ polynomials)).sum(axis=0) / squares
+    dim = system.subdomain.mesh.dim
     n_linear = dim * (dim + 1)
-    return bool(energies[n_linear:].min() > STIFF * energies[:dim].min())
+    return bool(gaps[n_linear:].min() > STIFF * textures[:dim].min())
 
 
 def _list_exponents(dim: int, n: int) -> list[tuple[int, ...]]:
