@@ -31,8 +31,6 @@ OPEN: dict[tuple[str, str], str] = {
     ("performance", "speedup"):
         "two processor cores of a shared machine, which slow each other down: 1.3 to 1.8 in three runs; of f43a80d the "
         "pixel work on the beam becomes 1.43 and 1.50 times faster, in turn with 1.84 and 1.94 of this code",
-    ("right", "beam_kernels"):
-        "residual sums of f43a80d have 69 and 76 Mpx/s on the machine of today, in turn with 75 and 72 of this code",
     ("right", "disturbed"):
         "beside a crack of 20 px, without l_c or with 128 px, a node of a cell that is not marked is 0.304 px off",
     ("start", "random"):
