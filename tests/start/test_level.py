@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.case.schema import StartSection
-from ddic.errors import SingularSubdomainError
+from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.images.rigid import GridField, build_uniform_field
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.enriched import Discontinuities
@@ -23,6 +23,7 @@ from ddic.start.helpers import Helpers, hold_rows, split_rows
 from ddic.start.level import TiledLevel, correlate_in_tiles, correlate_level
 from ddic.start.multilevel import Pyramid, find_multilevel_start
 from ddic.synth.fields import Sinusoidal
+from ddic.synth.speckle import SpeckleTexture
 from support.pictures import pair_of, rms_error, source, square_mesh
 
 SIDE = 800
@@ -101,6 +102,18 @@ def test_a_tile_that_shows_nothing_stays_as_it_began_and_says_so() -> None:
     assert rms_error(tiled.field.at(MESH.nodes[-40:]), MESH.nodes[-40:], FIELD) <= 0.05
     with pytest.raises(SingularSubdomainError, match="everything is masked"):
         _correlate(_images(np.zeros((SIDE, SIDE), bool)))
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_tile_that_does_not_converge_says_so_on_any_rank() -> None:
+    reference, deformed = (np.array(image) for image in (pair_of(FIELD, SIDE, 8).reference,
+                                                         pair_of(FIELD, SIDE, 8).deformed))
+    y, x = np.mgrid[SIDE // 2:SIDE, SIDE // 2:SIDE].astype(float)
+    deformed[SIDE // 2:, SIDE // 2:] = 255.0 * SpeckleTexture(77).grey(x, y)
+    tiled = _correlate((source(reference), source(deformed)), Team(MPI.COMM_WORLD))
+    assert any(isinstance(error, ConvergenceError) for error in tiled.errors)
+    # The others are what they are without it.
+    assert rms_error(tiled.field.at(MESH.nodes[:40]), MESH.nodes[:40], FIELD) <= 0.05
 
 
 def test_several_ranks_go_on_to_finer_levels_than_one_would(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -99,6 +99,10 @@ def _iterate(model: ResidualModel, system: LocalSystem, smallest_eigenvalue: flo
     try:
         return gauss_newton(model, _as_field(model, start), MonolithicStep(system, operator), tolerances,
                             Progress(PhaseClock())).q[0]
+    except ConvergenceError as error:
+        # What was found on the way is no result, and holds what cannot be sent to other ranks.
+        error.last = None
+        raise
     finally:
         operator.destroy()
 
