@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from ddic.case.schema import StartSection
 from ddic.images.rigid import build_uniform_field
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.structured import build_structured_mesh
+from ddic.parallel.team import require_held
 from ddic.start.binned_pair import BinnedPair, choose_block_sizes
 from ddic.start.multilevel import SURE, MultilevelStart, Pyramid, correlate_level, find_multilevel_start
 from ddic.synth.fields import Affine, DisplacementField, Translation
@@ -92,6 +94,23 @@ def test_a_translation_that_explains_the_whole_region_on_coarser_blocks_is_refin
     deformed = pair.deformed.copy()
     deformed[60:220, 60:220] = np.roll(pair.deformed, 25, axis=0)[60:220, 60:220]
     assert find_multilevel_start(Pyramid(_pair(pair.reference, deformed), mesh, "none"), StartSection()).n_matches > 0
+
+
+@pytest.mark.parametrize("off", [0.0, 9.0])
+def test_a_corner_that_features_put_beside_its_place_is_found_on_larger_blocks(off: float) -> None:
+    side, mesh = 576, square_mesh(96.0, 480.0)
+    field = _turned(12.0, ((side - 1) / 2, (side - 1) / 2))
+    pair = pair_of(field, side, 8)
+    pyramid = Pyramid(_pair(pair.reference, pair.deformed), mesh, "none")
+    matched = require_held(pyramid.matched)
+    # More than the 2 blocks of 2 px that the finest level follows: they are left of a speckle.
+    moved = matched.matches.displacement.copy()
+    moved[(matched.matches.points < 176.0).all(axis=1)] += [off, -off]
+    pyramid.__dict__["matched"] = replace(matched, matches=replace(matched.matches, displacement=moved))
+    start = find_multilevel_start(pyramid, StartSection())
+    assert start.n_matches > 0
+    assert start.levels == ((2,) if off == 0.0 else (4, 2))
+    assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.1
 
 
 def test_each_stage_can_be_switched_off() -> None:

@@ -274,11 +274,24 @@ def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelS
         if finer is not None:
             return finer
         sizes, matched = followed or sizes, None if followed else pyramid.matched
-    if matched is not None:
-        # From there the finest level finds everything, and coarser ones would smooth it.
-        starts, sizes, warnings = (matched, *starts), sizes[-1:], ()
-    found = pyramid.correlate(sizes, starts, rigid_start.fields)
+    if matched is None:
+        found = pyramid.correlate(sizes, starts, rigid_start.fields)
+    else:
+        warnings = ()
+        found = _correlate_from_features(pyramid, sizes, (matched, *starts), rigid_start.fields)
     return replace(found, rigid=rigid_start.translations, warnings=(*warnings, *found.warnings))
+
+
+def _correlate_from_features(pyramid: Pyramid, sizes: Sequence[int], starts: Sequence[CoarseField],
+                             beside: Sequence[CoarseField]) -> MultilevelStart:
+    """The finest level from features, which finds everything there; coarser ones would smooth it.
+
+    In a corner without features it may not find its way: the level before it has larger blocks, hence a longer reach.
+    """
+    found = pyramid.correlate(sizes[-1:], starts, beside)
+    if len(sizes) > 1 and sizes[-1] not in found.levels:
+        return pyramid.correlate(sizes[-2:], starts, beside)
+    return found
 
 
 def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:
@@ -355,7 +368,7 @@ def _search_on(given: CutField, pyramid: Pyramid, stages: StartSection) -> Multi
     sizes = sizes if stages.pyramid else []
     matches = stages.rigid and stages.features and pyramid.predict(pyramid.rigid_size, best.field).coefficient < SURE
     if matches and pyramid.matched is not None:
-        found = pyramid.correlate(sizes[-1:], [pyramid.matched, *beside], beside)
+        found = _correlate_from_features(pyramid, sizes, [pyramid.matched, *beside], beside)
         return replace(found, notes=(NOTE_OF_FEATURES,))
     found = pyramid.correlate(sizes, [best.field] if is_in_reach else [best.field, *beside], beside)
     return replace(found, rigid=best.rigid, notes=(best.note if is_in_reach else NOTE_OUT_OF_REACH,))
