@@ -49,17 +49,21 @@ def serve(requests: int, answers: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(requests, encoding="utf-8") as incoming, os.fdopen(answers, "w", encoding="utf-8") as outgoing:
         print(json.dumps({"code": 0, "peak": 0}), file=outgoing, flush=True)
+        at_begin = _read_memory("VmRSS")
         for line in incoming:
-            print(json.dumps(_answer(json.loads(line))), file=outgoing, flush=True)
+            print(json.dumps(_answer(json.loads(line), at_begin)), file=outgoing, flush=True)
 
 
-def _answer(request: Mapping[str, Any]) -> dict[str, int]:
+def _answer(request: Mapping[str, Any], at_begin: int) -> dict[str, int]:
+    """Run a command; ``at_begin`` is what this process held before its first one, bytes."""
     # Else the peak would be that of an earlier command.
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    held = _read_memory("VmRSS")
     folder = Path(request["folder"])
     with _in_folder(folder), _environment(request["environment"]), _printing_to(folder.parent):
         code = _run(request["arguments"])
-    return {"code": code, "peak": _read_peak()}
+    # What thousands of earlier commands have left in this process a process of its own would not hold.
+    return {"code": code, "peak": _read_memory("VmHWM") - held + at_begin}
 
 
 def _run(arguments: list[str]) -> int:
@@ -80,9 +84,10 @@ def _run(arguments: list[str]) -> int:
     return 0
 
 
-def _read_peak() -> int:
+def _read_memory(name: str) -> int:
+    """Memory of this process, bytes: VmRSS that it holds, VmHWM the most that it held since that was cleared."""
     line = next(line for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-                if line.startswith("VmHWM"))
+                if line.startswith(name))
     return int(line.split()[1]) << 10
 
 
