@@ -7,7 +7,7 @@ from __future__ import annotations
 
 OPEN: dict[tuple[str, str], str] = {
     ("clean", "real_pairs"):
-        "fracture, no l_c: since the start is spread over ranks (26839ec5) two spots of 6 and 22 nodes are 0.004 px off, "
+        "fracture, no l_c: since the start is spread over ranks (26839ec5) spots of 6 and 22 nodes are 0.004 px off, "
         "0.17 of their standard deviation beside a bound of 0.1: the light of a frame is told where the start puts it",
     ("clean", "whole_commands"):
         "three looks at the frame, checks of the mesh, ranges and strains at nodes, which a354d27 does without, take "
