@@ -27,11 +27,6 @@ OPEN: dict[tuple[str, str], str] = {
     ("house", "source"):
         "two of sixteen: formulas of numpy on lines of 120 characters are dense, where models break theirs at 80 to "
         "100; and 2,690 import lines in 27,366 are 9.8 %, since files that were joined took 8 imports each along",
-    ("house", "startup"):
-        "0.67, 0.70 and 0.72 times in three runs of the same code, beside a bound of 0.7",
-    ("impressions", "followed_pages"):
-        "three lines that README shows of an iteration were older than the code, and are mended since; a command of a "
-        "user without rights ran into its limit while the machine was held up",
     ("near-far", "foam_noise"):
         "one of five noisy draws of the near pair alone, whose pyramid fails, ends up to 10 px off at some nodes",
     ("performance", "speedup"):
