@@ -27,6 +27,9 @@ OPEN: dict[tuple[str, str], str] = {
     ("house", "source"):
         "two of sixteen: formulas of numpy on lines of 120 characters are dense, where models break theirs at 80 to "
         "100; and 2,690 import lines in 27,366 are 9.8 %, since files that were joined took 8 imports each along",
+    ("impressions", "auto"):
+        "one of 15: 4,000 px at l_c = 256 px takes one MUMPS factor, 1.29 times the CPU of the dual method with many "
+        "subdomains, whose set-up has become cheaper than the fitted costs say",
     ("near-far", "foam_noise"):
         "one of five noisy draws of the near pair alone, whose pyramid fails, ends up to 10 px off at some nodes",
     ("performance", "speedup"):
