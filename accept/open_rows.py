@@ -30,8 +30,6 @@ OPEN: dict[tuple[str, str], str] = {
     ("impressions", "auto"):
         "one of 15: 4,000 px at l_c = 256 px takes one MUMPS factor, 1.29 times the CPU of the dual method with many "
         "subdomains, whose set-up has become cheaper than the fitted costs say",
-    ("near-far", "foam_noise"):
-        "one of five noisy draws of the near pair alone, whose pyramid fails, ends up to 10 px off at some nodes",
     ("performance", "speedup"):
         "two processor cores of a shared machine, which slow each other down: 1.3 to 1.8 in three runs; of f43a80d the "
         "pixel work on the beam becomes 1.43 and 1.50 times faster, in turn with 1.84 and 1.94 of this code",
