@@ -292,10 +292,12 @@ def _correlate_from_features(pyramid: Pyramid, sizes: Sequence[int], starts: Seq
     if len(sizes) < 2 or sizes[-1] in found.levels:
         return found
     from_larger = pyramid.correlate(sizes[-2:], starts, beside)
+    if sizes[-1] not in from_larger.levels:
+        return found
     # Where a specimen has torn, larger blocks lose more than they find, and features know best.
     lost, lost_by_features = (pyramid.predict(sizes[-2], field).measure_share_beyond(np.inf)
                               for field in (from_larger.require_field(), starts[0]))
-    return from_larger if sizes[-1] in from_larger.levels and lost <= lost_by_features else found
+    return from_larger if lost <= lost_by_features else found
 
 
 def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:
