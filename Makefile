@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
-	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust trials smoke clean
+	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -144,6 +144,9 @@ accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay 
 
 accept-trust: setup ## measure the table of numbers that hold or are nan where something is off: lines (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables trust $(CHECK)
+
+accept-newcomer: setup ## measure the table of a new user's day: verdicts (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables newcomer $(CHECK)
 
 trials: setup ## try bad inputs and damaged files (ARGS="--sample 40": some; ARGS=mesh.file: those of a name)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.bad_inputs --jobs $(JOBS) $(ARGS)

@@ -154,6 +154,9 @@ TABLES: dict[str, dict[str, str]] = {
         "dual": "scale.measure_dual",
         "small_cases": "scale.measure_small_cases",
     },
+    "newcomer": {
+        "verdicts": "verdicts.measure_verdicts",
+    },
     "clean": {
         "pairs": "clean.measure_pairs",
         "tension": "few_passes.measure_tension",

@@ -12,7 +12,7 @@ from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
 from ddic.problem.residual_model import ResidualModel
 from ddic.synth.fields import Translation
-from ddic.visibility.cell_errors import MOST_PLACES, describe_exclusions
+from ddic.visibility.cell_errors import MOST_PLACES, describe_exclusions, find_marked_cells
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
 from support.one_subdomain import model_of
 from support.pictures import pair_of, source, square_mesh
@@ -30,7 +30,8 @@ def describe(states: dict[int, int], pixels: int = 0, mesh: Mesh = MESH) -> tupl
         cells[cell] = state
     spots = np.stack([30 + np.arange(pixels), np.full(pixels, 30)], axis=1).astype(np.int64)
     excluded = replace(Exclusions.nothing(model.views), cells=ByView([[cells]]), pixels=ByView([[spots]]))
-    return describe_exclusions(Team.alone(), model.subdomains, excluded)
+    marked = find_marked_cells(Team.alone(), model.subdomains, excluded)
+    return describe_exclusions(Team.alone(), marked, mesh.n_cells, excluded)
 
 
 def cell_at(x: float, y: float, mesh: Mesh = MESH) -> int:

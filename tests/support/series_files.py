@@ -86,7 +86,7 @@ def _write_frame(path: Path, frame: FrameFile, number: int, form: tuple[bool, st
         writer.write_attributes(schema.TIME, {"reference": 0.0, "deformed": frame.time})
         if length_unit is not None:
             writer.write_attributes(schema.UNITS, {"pixel_size": 0.5, "length_unit": length_unit})
-        writer.write_status("")
+        writer.write_status("", schema.Verdict(schema.LOOK, (f"a place of frame {number}",)))
 
 
 def _cut(frame: FrameFile, part: int, length_unit: str | None) -> Piece:

@@ -99,4 +99,6 @@ def test_each_camera_has_its_noise_whoever_owns_its_cells() -> None:
         # 50 above the noise of either camera: sqrt(2 * 50 / 200).
         np.testing.assert_allclose(errors.equivalent, np.where(np.arange(40) < k, np.sqrt(0.5), 0.0), rtol=1e-12)
         np.testing.assert_array_equal(errors.doubtful, np.arange(40) < k)
-    assert describe_doubtful_cells(team, found)[0].startswith("15 of 240 cells are marked doubtful")
+    (line,), n_doubtful = describe_doubtful_cells(team, found)
+    assert line.startswith("15 of 240 cells are marked doubtful")
+    assert n_doubtful == 15

@@ -127,6 +127,7 @@ class RunConsole:
                     + (f", {summary.n_resumed} of them by an earlier run" if summary.n_resumed else ""))
         for frame in summary.failures:
             self._print(frame.describe())
+        self._print(f"verdict: {summary.describe_verdicts()}")
         self._print(f"result: {summary.result_file}")
 
     def _finish_pair(self, summary: Summary) -> None:
@@ -157,6 +158,8 @@ class RunConsole:
                         "excluded pixels of it")
         self._print(f"seconds by phase: {seconds}")
         self._print(f"peak memory by rank [MiB]: {memory}")
+        if summary.verdict is not None:
+            self._print(f"verdict: {summary.verdict.describe()}")
         self._print(f"result: {summary.result_file}")
 
 

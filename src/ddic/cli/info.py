@@ -128,6 +128,7 @@ def _result_lines(result: Result) -> Lines:
     lines = [
         ("result", str(result.path)),
         *([] if result.converged else [("status", f"NOT CONVERGED: {result.failure}")]),
+        *([] if result.verdict is None or not result.converged else [("verdict", result.verdict.describe())]),
         ("mesh", f"{result.mesh.n_nodes} nodes, {result.mesh.n_cells} cells, {result.mesh.n_dofs} unknowns"),
         ("subdomains", str(result.n_subdomains)),
         ("y axis in the file", "up" if result.flipped else "down"),

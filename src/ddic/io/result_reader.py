@@ -59,6 +59,8 @@ class Result:
         Columns of the table of phases and their times; empty where they were not recorded.
     failure : str
         Why the field is no result: the last one of a measurement that did not converge. Empty where it converged.
+    verdict : Verdict or None
+        Whether it can be trusted, and why not; None in files before schema 1.8.
     """
 
     path: Path
@@ -75,6 +77,7 @@ class Result:
     separated: SeparatedField | None = None
     failure: str = ""
     phases: Arrays = field(default_factory=dict)
+    verdict: schema.Verdict | None = None
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -360,11 +363,19 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
         separated=_read_separated(rest),
         failure=str(rest.attrs.get(schema.FAILURE, "")),
         phases=tables[schema.PHASES],
+        verdict=_read_verdict(rest),
     )
     if has_image_at_once:
         # What is computed at first use may also be put in place, whatever the class is frozen for.
         result.__dict__["residual_image"] = _read_residual_image(rest)
     return result
+
+
+def _read_verdict(file: Any) -> schema.Verdict | None:
+    """What was said of the field; None where nothing was."""
+    if schema.VERDICT not in file.attrs:
+        return None
+    return schema.Verdict(str(file.attrs[schema.VERDICT]), tuple(str(file.attrs[schema.REASONS]).splitlines()))
 
 
 def _read_separated(file: Any) -> SeparatedField | None:

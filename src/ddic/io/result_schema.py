@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.7"
+SCHEMA_VERSION = "1.8"
 VERSION, Y_AXIS = OF_FORMAT = "ddic_schema", "y_axis"
 VTKHDF_VERSION = (2, 0)
 
@@ -34,6 +34,8 @@ TIME = "time"
 UNITS = "units"
 STATUS, FAILURE = OF_STATUS = "status", "failure"
 CONVERGED, NOT_CONVERGED = "converged", "not converged"
+VERDICT, REASONS = OF_VERDICT = "verdict", "verdict_reasons"
+TRUST, LOOK, DISTRUST = "trust", "look", "do not trust"
 SHOWS = "shows"
 NOISE_FLOOR = "noise_floor_px"
 NEAR_PREFIX = "near_"
@@ -70,6 +72,31 @@ REGULARIZATION_BIAS = "regularization_bias"
 EXCLUDED_STATES = (1, 2, 3)
 """Values of the field ``excluded`` of cells none of whose pixels counts; 4 marks one that is used though mechanics hold
 it off."""
+
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a field can be trusted.
+
+    Attributes
+    ----------
+    word : {"trust", "look", "do not trust"}
+        Trust it; look at some places first; or do not trust it.
+    reasons : tuple of str
+        Why not, where, and what to do about it; empty where it can be trusted.
+    """
+
+    word: str
+    reasons: tuple[str, ...] = ()
+
+    def describe(self) -> str:
+        """Say it in plain words, in a line."""
+        if self.word == TRUST:
+            return "trust this field"
+        what = "look before you trust this field" if self.word == LOOK else "do not trust this field"
+        return f"{what}: {'; '.join(self.reasons)}"
+
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"

@@ -183,10 +183,12 @@ class ResultWriter:
         """Write attributes of a group, which is made where there is none: texts, numbers or lists of them by name."""
         self._file.require_group(group).attrs.update(values)
 
-    def write_status(self, failure: str) -> None:
-        """Write, as attributes of the file, whether the field converged: ``failure`` is empty, or why it did not."""
+    def write_status(self, failure: str, verdict: schema.Verdict) -> None:
+        """Write, as attributes of the file, why the field did not converge, empty where it did, and the verdict."""
         self._file.attrs[schema.STATUS] = schema.NOT_CONVERGED if failure else schema.CONVERGED
         self._file.attrs[schema.FAILURE] = failure
+        self._file.attrs[schema.VERDICT] = verdict.word
+        self._file.attrs[schema.REASONS] = "\n".join(verdict.reasons)
 
 
 ROWS = 1 << 16

@@ -362,7 +362,9 @@ def join_frames(folder: SeriesFolder, numbers: Sequence[int], records: Sequence[
                 rest = file.create_group(schema.frame_group(number))
                 for name in sorted(source.keys() - {schema.VTKHDF, schema.SERIES}):
                     source.copy(name, rest)
-                rest.attrs.update({name: source.attrs[name] for name in schema.OF_STATUS})
+                # Frames of an older run have no verdict.
+                rest.attrs.update({name: source.attrs[name] for name in (*schema.OF_STATUS, *schema.OF_VERDICT)
+                                   if name in source.attrs})
         steps = group.create_group("Steps")
         steps.attrs["NSteps"] = len(times)
         steps["Values"] = np.array(times)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from ddic.inputs.inputs import Inputs, StartPoints
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.result_pieces import Piece
+from ddic.io.result_schema import Verdict
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_strain
@@ -47,12 +49,21 @@ from ddic.results.measurement import last_field_kept
 from ddic.results.publishing import describe_images, write_case
 from ddic.results.residual_image import Patch, write_patches
 from ddic.results.summary import Summary, find_field_ranges
+from ddic.results.verdict import Evidence, judge
 from ddic.separated.band_sums import N_BANDS
 from ddic.separated.corrections import CorrectionRecord, SeparatedSolution, correct_displacement
 from ddic.separated.field import LineElements, SeparatedField
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
-from ddic.visibility.cell_errors import CellErrors, CellResiduals, describe_doubtful_cells, find_cell_errors
+from ddic.visibility.cell_errors import (
+    CellErrors,
+    CellResiduals,
+    MarkedCells,
+    bound_cells,
+    describe_doubtful_cells,
+    find_cell_errors,
+    name_places,
+)
 from ddic.visibility.exclusions import KEPT, UNSEEN
 
 Rows = tuple[range, NDArray[np.float32]]
@@ -86,6 +97,15 @@ class OutputCells:
         """Mesh them: Q4 cells, row by row."""
         return self.grid.build_mesh()
 
+    def weigh(self, residual: float) -> Evidence:
+        """Say what speaks for or against a field that leaves a residual, its deviation over the dynamic range."""
+        unseen = self.n_pixels == 0
+        n_unseen = int(unseen.sum())
+        marked = []
+        if n_unseen:
+            marked.append(MarkedCells(UNSEEN, n_unseen, name_places(*bound_cells(self.build_mesh(), unseen))))
+        return Evidence(len(unseen), int(self.errors.doubtful.sum()), marked, residual=residual)
+
     def evaluate_displacement(self, field: SeparatedField) -> Array:
         """Evaluate a displacement at their nodes, (n_nodes, 2), row by row, pixels."""
         return field.evaluate_on_grid(self.grid.x, self.grid.y).reshape(-1, 2)
@@ -107,7 +127,7 @@ def evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBands
     variance = np.where(n > 0, np.maximum(rr / safe - (r / safe) ** 2, 0.0), np.nan)
     residuals = CellResiduals(0, n, variance, slopes / safe)
     errors = find_cell_errors(team, [residuals] if team.is_root else [])
-    notes = describe_doubtful_cells(team, errors)
+    notes, _ = describe_doubtful_cells(team, errors)
     rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
     return OutputCells(grid, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
 
@@ -212,6 +232,12 @@ class SeparatedMeasurement:
         """Sizes and weights."""
         return self.problem.size
 
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the displacement can be trusted."""
+        residual = self.solution.grey.residual_std / (self.size.dynamic_range or 1.0)
+        return judge(self.cells.weigh(residual), self.failure)
+
     @property
     def unknowns(self) -> SeparatedField:
         """What another frame may start from."""
@@ -231,7 +257,7 @@ class SeparatedMeasurement:
         writer.write_separated(self.solution.field)
         writer.write_table(schema.CORRECTIONS, list_corrections(self.solution.records))
         write_case(self, writer, {"largest_jump_px": 0.0, "stop": self.solution.stop})
-        writer.write_status(self.failure)
+        writer.write_status(self.failure, self.verdict)
 
     def _write_residual_image(self, writer: ResultWriter | None) -> None:
         image, columns = self.inputs.cameras[0].reference.image, self.problem.rectangle.along_x.pixels

@@ -150,6 +150,7 @@ def _describe_run(measurement: Publishable, clock: PhaseClock) -> dict[str, Any]
     return {
         "converged": not measurement.failure,
         "failure": measurement.failure,
+        "verdict": measurement.verdict,
         "n_dofs": size.n_unknowns,
         "n_subdomains": size.n_subdomains,
         "n_ranks": size.n_ranks,

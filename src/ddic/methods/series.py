@@ -196,7 +196,7 @@ def _keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
     measurement = replace(result, inputs=result.inputs.with_frame(record.number - 1))
     unknowns = {subdomain.index: q
                 for subdomain, q in zip(measurement.subdomains, measurement.unknowns, strict=True)}
-    state = FrameState(record.time, unknowns, measurement.noise, measurement.shown_share,
+    state = FrameState(record.time, unknowns, measurement.noise, measurement.evidence.shown_share,
                        measurement.excluded.has_held_off(team))
     content = _pack_frame(measurement, record, state)
     path = folder.get_frame_path(record.number)
@@ -488,6 +488,7 @@ def measure_frame(session: ReferenceSession, number: int, states: Sequence[Frame
     record = replace(record, converged=True, iterations=measurement.n_iterations, started_from=session.started_from,
                      lines=session.lines, residual_std_grey=deviation,
                      noise_floor_px=session.estimate_noise_floor(measurement), notes=measurement.notes,
+                     verdict=measurement.verdict.word, reasons=measurement.verdict.reasons,
                      seconds=float(images.team.maximum(time.perf_counter() - began)))
     return MeasuredFrame(record, measurement, session)
 

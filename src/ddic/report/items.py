@@ -334,6 +334,7 @@ def _list_convergence(gathered: Gathered) -> Items:
     residual = gathered.last_residual
     return [
         ("Status", "converged" if result.converged else f"NOT CONVERGED: {result.failure}"),
+        ("Verdict", NOT_RECORDED if result.verdict is None else result.verdict.describe()),
         ("Corrections" if is_pgd else "Gauss-Newton iterations", str(count) if count else NOT_RECORDED),
         ("Last correction", f"{last[-1]:.2g} px RMS" if last else NOT_RECORDED),
         ("Stopped", str(summary.get("stop") or NOT_RECORDED)),

@@ -306,4 +306,4 @@ def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
         writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
     for motion in measurement.motions:
         writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))
-    writer.write_status(measurement.failure)
+    writer.write_status(measurement.failure, measurement.verdict)

@@ -16,6 +16,7 @@ from ddic.errors import ConvergenceError, DdicError, as_collective, is_collectiv
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
+from ddic.io.result_schema import Verdict
 from ddic.io.result_writer import ResultWriter
 from ddic.kinematics.strain import find_inverted_cells
 from ddic.mesh.plane import build_tree
@@ -31,20 +32,23 @@ from ddic.results.near import SetupMotion, measure_motions, summarize_near_field
 from ddic.results.publishing import describe_images
 from ddic.results.residual_image import write_residual_images
 from ddic.results.summary import Summary, find_field_ranges
+from ddic.results.verdict import Evidence, find_tear, judge
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.visibility.cell_errors import (
     CellErrors,
+    MarkedCells,
     describe_doubtful_cells,
     describe_exclusions,
     describe_lost_field,
     find_cell_errors,
+    find_marked_cells,
     find_noisy_cells,
     find_unmeasured_nodes,
     measure_cell_residuals,
 )
-from ddic.visibility.exclusions import Exclusions, find_excluded
+from ddic.visibility.exclusions import SPOILT, Exclusions, find_excluded
 from ddic.visibility.slow_nodes import estimate_node_deviations
-from ddic.visibility.solved_frame import SolvedFrame
+from ddic.visibility.solved_frame import SeenFrame, SolvedFrame
 
 if TYPE_CHECKING:
     from ddic.results.field_uncertainty import FieldUncertainty
@@ -95,8 +99,8 @@ class Measurement:
         Which tolerances ended Gauss-Newton; why it is no result, empty where it converged.
     method, preconditioner : str
         How the linear steps were solved, as a case calls it.
-    shown_share : float
-        Share of the cells that are seen where the field puts them.
+    evidence : Evidence
+        What speaks for or against the field.
     uncertainty : FieldUncertainty or None
         What noise and regularization do to the field, where the case asks for it.
     """
@@ -117,11 +121,11 @@ class Measurement:
     excluded: Exclusions
     unmeasured: list[BoolArray]
     whole: ResidualModel
+    evidence: Evidence
     stop: str
     failure: str = ""
     method: str = ""
     preconditioner: str = "none"
-    shown_share: float = 1.0
     uncertainty: FieldUncertainty | None = None
 
     @property
@@ -155,6 +159,11 @@ class Measurement:
             displacement.reshape(subdomain.mesh.nodes.shape)[is_unmeasured] = np.nan
             found.append(displacement)
         return found
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the field can be trusted."""
+        return judge(self.evidence, self.failure)
 
     @property
     def n_iterations(self) -> int:
@@ -231,20 +240,31 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     # A field that is no result has none.
     if inputs.case.output.uncertainty and not failure:
         uncertainty, of_uncertainty = _estimate_uncertainty(problem, model, evaluation, field.q, unmeasured)
+    n_cells = problem.reference.region.n_cells
+    marked = find_marked_cells(team, subdomains, excluded)
+    of_doubtful, n_doubtful = describe_doubtful_cells(team, cell_errors)
+    evidence = _collect_evidence(problem, solved.seen, evaluation, marked, n_doubtful)
     notes = (*notes, *solved.notes, *_describe_correction(inputs.case, model),
-             *describe_exclusions(team, subdomains, excluded), *describe_doubtful_cells(team, cell_errors),
-             *of_uncertainty)
+             *describe_exclusions(team, marked, n_cells, excluded), *of_doubtful, *of_uncertainty)
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
                               problem.size, solved.solution.records, notes, motions, problem.noise, cell_errors,
-                              excluded, unmeasured, solved.seen.whole, solved.solution.stop, failure,
-                              problem.solver.method, problem.solver.preconditioner,
-                              solved.seen.measure_shown_share(), uncertainty)
+                              excluded, unmeasured, solved.seen.whole, evidence, solved.solution.stop, failure,
+                              problem.solver.method, problem.solver.preconditioner, uncertainty)
     are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
     inverted = describe_inverted_cells(team, measurement.subdomains, measurement.displacements, are_used)
     found = lost or inverted
     if found and not failure:
         raise as_collective(ConvergenceError(found, replace(measurement, failure=found)))
     return measurement
+
+
+def _collect_evidence(problem: WeightedProblem, seen: SeenFrame, evaluation: Evaluation,
+                      marked: Sequence[MarkedCells], n_doubtful: int) -> Evidence:
+    """What speaks for or against a field, of which cells are marked and doubtful; collective."""
+    subdomains = problem.reference.subdomains
+    is_torn = any(cells.state == SPOILT for cells in marked) and find_tear(problem.team, subdomains, seen.excluded)
+    residual = evaluation.grey[0].residual_std / (problem.size.dynamic_range or 1.0)
+    return Evidence(problem.reference.region.n_cells, n_doubtful, marked, seen.measure_shown_share(), is_torn, residual)
 
 
 def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field,

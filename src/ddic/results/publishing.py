@@ -75,6 +75,10 @@ class Publishable(Protocol):
     def failure(self) -> str:
         """Why it is no result; empty where it converged."""
 
+    @property
+    def verdict(self) -> schema.Verdict:
+        """Whether it can be trusted."""
+
     def write(self, writer: ResultWriter | None) -> None:
         """Write everything that was measured.
 

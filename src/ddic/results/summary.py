@@ -11,6 +11,7 @@ import numpy as np
 from ddic.arrays import Array
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.io.replace_on_exit import NewFiles
+from ddic.io.result_schema import DISTRUST, LOOK, TRUST, Verdict
 from ddic.io.text_files import convert_to_json, write_json
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.mesh import Mesh, join_meshes
@@ -120,6 +121,8 @@ class Summary:
         Of the interface problem; "none" where there is none.
     case : dict
         The validated case with all defaults, as the result file has it, and the path of its file as ``path``.
+    verdict : Verdict
+        Whether the field can be trusted, and why not.
     """
 
     converged: bool
@@ -156,6 +159,7 @@ class Summary:
     preconditioner: str = "none"
     case: Mapping[str, Any] = field(default_factory=dict)
     local_iterations: int = 0
+    verdict: Verdict | None = None
 
 
 def write_summary(path: Path, summary: Summary, files: NewFiles | None = None) -> None:
@@ -225,6 +229,10 @@ class FrameRecord:
     lines : tuple of tuple of (x, y)
         Vertices of the discontinuities that it was measured with where the residual of this frame or an earlier one has
         refined them, pixels; empty where they are those of the case.
+    verdict : str
+        Whether its field can be trusted, a word of ``Verdict``; empty where it was not measured.
+    reasons : sequence of str
+        Why not, where, and what to do about it.
     """
 
     number: int
@@ -240,6 +248,8 @@ class FrameRecord:
     failure: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
     lines: tuple[Vertices, ...] = ()
+    verdict: str = ""
+    reasons: Sequence[str] = field(default_factory=tuple)
 
     def as_json(self) -> str:
         """Write it as a line of JSON, with null for what is not finite."""
@@ -258,8 +268,9 @@ class FrameRecord:
         if not self.converged:
             return f"frame {self.number}: not measured ({self.failure})"
         compared = f", compared with frame {self.reference}" if self.reference else ""
+        judged = "" if self.verdict == TRUST else f"; {Verdict(self.verdict, tuple(self.reasons)).describe()}"
         return (f"frame {self.number}: {self.iterations} iterations from {self.started_from}{compared}, residual "
-                f"{self.residual_std_grey:.3f} grey levels, {self.seconds:.2f} s")
+                f"{self.residual_std_grey:.3f} grey levels, {self.seconds:.2f} s{judged}")
 
 
 @dataclass(frozen=True)
@@ -298,6 +309,17 @@ class SeriesSummary:
     def failures(self) -> list[FrameRecord]:
         """The frames that could not be measured."""
         return [frame for frame in self.frames if not frame.converged]
+
+    def describe_verdicts(self) -> str:
+        """Say in a line which frames can be trusted."""
+        measured = [frame for frame in self.frames if frame.converged]
+        n_trusted = sum(frame.verdict == TRUST for frame in measured)
+        told = [f"trust {n_trusted} of {len(measured)} frames"]
+        for word, what in ((LOOK, "look at"), (DISTRUST, "do not trust")):
+            numbers = [str(frame.number) for frame in measured if frame.verdict == word]
+            if numbers:
+                told.append(f"{what} {', '.join(numbers)}")
+        return "; ".join(told)
 
 
 def write_series_summary(path: Path, summary: SeriesSummary, files: NewFiles | None = None) -> None:

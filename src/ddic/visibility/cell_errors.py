@@ -148,20 +148,20 @@ def describe_lost_field(team: Team, are_noisy: Sequence[BoolArray], are_shown: S
             "one; take sharper images or larger elements")
 
 
-def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[str, ...]:
-    """Say how many cells are doubtful, in a line, or none; collective."""
+def describe_doubtful_cells(team: Team, errors: Sequence[CellErrors]) -> tuple[tuple[str, ...], int]:
+    """Say how many cells are doubtful, in a line, or none; and their number; collective."""
     counts = np.zeros(4)
     for of_cells in errors:
         is_off = of_cells.doubtful & (of_cells.equivalent > DOUBTFUL_PX)
         counts += [of_cells.doubtful.sum(), np.isnan(of_cells.equivalent).sum(), is_off.sum(), len(is_off)]
-    n_doubtful, n_unseen, n_off, n_cells = team.sum(counts).astype(int)
+    n_doubtful, n_unseen, n_off, n_cells = team.sum(counts).astype(int).tolist()
     if not n_doubtful:
-        return ()
+        return (), 0
     line = f"{n_doubtful} of {n_cells} cells are marked doubtful (cell field \"doubtful\")"
     reasons = {f"the residual of {n_off} is that of an error above {DOUBTFUL_PX} px": n_off,
                f"{n_unseen} hold no pixel that counts": n_unseen}
     told = "; ".join(reason for reason, n in reasons.items() if n)
-    return (f"{line}: {told}" if told else line,)
+    return (f"{line}: {told}" if told else line,), n_doubtful
 
 
 def find_unmeasured_nodes(problem: WeightedProblem, evaluation: Evaluation) -> list[BoolArray]:
@@ -184,35 +184,63 @@ REASONS = {SPOILT: f"{OTHER_THAN_REFERENCE} and are excluded", BLANK: "have no t
                      "regularization.cut_off_wavelength follows these"}
 
 
-def describe_exclusions(team: Team, subdomains: Sequence[Subdomain], excluded: Exclusions) -> tuple[str, ...]:
-    """Say for the log how many cells and pixels are excluded, why and where, if any are; collective."""
-    n_cells = team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
-    lines = []
-    for reason, why in REASONS.items():
-        found = team.gather_lists([_bound_cells(subdomain, states[0] == reason)
-                                   for subdomain, states in zip(subdomains, excluded.cells, strict=True)])
-        boxes, corners = (np.concatenate(parts) for parts in zip(*found, strict=True))
+@dataclass(frozen=True)
+class MarkedCells:
+    """The cells that one thing is said of.
+
+    Attributes
+    ----------
+    state : int
+        What is said: BLANK, SPOILT, UNSEEN or HELD_OFF.
+    n_cells : int
+        How many they are.
+    places : str
+        Where they are, the largest places.
+    """
+
+    state: int
+    n_cells: int
+    places: str
+
+
+def find_marked_cells(team: Team, subdomains: Sequence[Subdomain], excluded: Exclusions) -> list[MarkedCells]:
+    """Find which cells are excluded or held off, and where; the same on all ranks, collective."""
+    marked = []
+    for state in REASONS:
+        found = []
+        for subdomain, states in zip(subdomains, excluded.cells, strict=True):
+            boxes, nodes = bound_cells(subdomain.mesh, states[0] == state)
+            found.append((boxes, subdomain.node_ids[nodes]))
+        boxes, corners = (np.concatenate(parts) for parts in zip(*team.gather_lists(found), strict=True))
         if len(boxes):
-            lines.append(f"{len(boxes)} of {n_cells} cells {why} (cell field \"excluded\"): "
-                         + "; ".join(_name_places(boxes, corners)))
+            marked.append(MarkedCells(state, len(boxes), name_places(boxes, corners)))
+    return marked
+
+
+def describe_exclusions(team: Team, marked: Sequence[MarkedCells], n_cells: int,
+                        excluded: Exclusions) -> tuple[str, ...]:
+    """Say for the log how many cells, of ``n_cells``, and pixels are excluded, why and where; collective."""
+    lines = [f"{of_state.n_cells} of {n_cells} cells {REASONS[of_state.state]} (cell field \"excluded\"): "
+             f"{of_state.places}" for of_state in marked]
     n_pixels = team.sum(sum(len(spots) for spots in excluded.pixels.flat))
     if n_pixels:
         lines.append(f"{n_pixels} pixels of other cells {OTHER_THAN_REFERENCE} and are excluded")
     return tuple(lines)
 
 
-def _bound_cells(subdomain: Subdomain, chosen: BoolArray) -> tuple[Array, IntArray]:
-    """Of some cells: first and last column, first and last row, (n, 4), pixels; and their nodes' numbers, (n, 4)."""
-    mesh = subdomain.mesh
+def bound_cells(mesh: Mesh, chosen: BoolArray) -> tuple[Array, IntArray]:
+    """Of some cells: first and last column, first and last row, (n, 4), pixels; and their nodes, (n, 4)."""
     nodes = pad_cells(mesh)[chosen]
     corners = mesh.nodes[nodes]
     low, high = corners.min(axis=1), corners.max(axis=1)
-    boxes = np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
-    return boxes, subdomain.node_ids[nodes]
+    return np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]]), nodes
 
 
-def _name_places(boxes: Array, corners: IntArray) -> list[str]:
-    """Boxes of cells that share nodes, the largest first."""
+def name_places(boxes: Array, corners: IntArray) -> str:
+    """Name the places that cells make which share nodes, the largest first.
+
+    The cells' boxes, (n, 4), are first and last column, first and last row, pixels; ``corners``, (n, 4), their nodes.
+    """
     _, nodes = np.unique(corners, return_inverse=True)
     cells = np.repeat(np.arange(len(boxes)), corners.shape[1])
     n_all = len(boxes) + int(nodes.max()) + 1
@@ -228,4 +256,4 @@ def _name_places(boxes: Array, corners: IntArray) -> list[str]:
                      f"{of_place[:, 2].min():.0f} to {of_place[:, 3].max():.0f}")
     if n_places > MOST_PLACES:
         named.append(f"{n_places - MOST_PLACES} more places")
-    return named
+    return "; ".join(named)
