@@ -147,8 +147,8 @@ def _draw(result: Result, image: Preview) -> dict[str, Figure]:
         "partition": draw_partition(result, image, unit),
         "deformed": draw_deformed(result, unit=unit),
         "displacement": draw_displacement(result, image, "y", unit),
-        "strain": draw_strain(result, StrainChoice(), unit),
-        "von Mises": draw_strain(result, StrainChoice("hencky", "von-mises"), unit),
+        "strain": draw_strain(result, StrainChoice(), image, unit),
+        "von Mises": draw_strain(result, StrainChoice("hencky", "von-mises"), image, unit),
         "residual": draw_residual(result, unit=unit),
         "signed residual": draw_residual(result, signed=True, unit=unit),
     }
@@ -175,7 +175,7 @@ def _measure_formats(path: Path) -> Row:
     for ending, begin in begins.items():
         runs.ddic("plot", str(path), "--kind", "strain", "--strain", "yy", "--limits", "0", "0.015", "--format", ending,
                   "--dpi", "300")
-        written = path.with_name(f"{path.stem}.strain.{ending}").read_bytes()
+        written = path.with_name(f"{path.stem}.strain_yy.{ending}").read_bytes()
         found[ending] = written.startswith(begin) and b"/Type3" not in written
     return Row("one strain at 300 dpi, with limits, as PNG, PDF and SVG", "written; no Type 3 font",
                ", ".join(f"{ending} {'yes' if good else 'no'}" for ending, good in found.items()), all(found.values()))

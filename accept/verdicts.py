@@ -56,14 +56,15 @@ class Trial:
     name: str
     draw: Callable[[], Pair]
     right: frozenset[str]
-    mesh: Callable[[], Any] = partial(ddic.structured_mesh, REGION, ELEMENT)
+    mesh: Callable[[], Any] = lambda: ddic.structured_mesh(REGION, ELEMENT)
 
 
 def measure_verdicts(scale: Scale) -> list[Row]:
     """Measure the verdict on all pairs, by turns without regularization and with."""
     trials = list_trials()
     chosen = trials[:1] + trials[-1:] if scale.smoke else trials
-    wrong, trusted = [], []
+    wrong: list[str] = []
+    trusted: list[str] = []
     for number, trial in enumerate(chosen):
         wavelength = WAVELENGTH if number % 2 else None
         word = _find_verdict(trial, wavelength)

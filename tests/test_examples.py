@@ -183,7 +183,7 @@ def test_series(tmp_path: Path) -> None:
         assert strain == pytest.approx(exact, rel=0.012, abs=1.5e-4)
     assert "    8     4  frame_8.tif" in printed
     pictures = sorted(path.name for path in (tmp_path / "out" / "pictures").iterdir())
-    assert pictures == ["series.curves.png", "series.frame_8.strain.png", "series.strain.gif"]
+    assert pictures == ["series.curves.png", "series.frame_8.strain_xx.png", "series.strain_xx.gif"]
     assert all((tmp_path / "out" / "pictures" / name).stat().st_size > 10_000 for name in pictures)
 
 

@@ -27,6 +27,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.plots.canvas import (
     WIDTH_INCHES,
     Bounds,
+    ColourScale,
     draw_cell_colours,
     find_mesh_bounds,
     save_figure,
@@ -362,10 +363,10 @@ def draw_cell_panels(panels: Sequence[CellPanel], outlined: Sequence[Mesh], box:
     last = panels[-1]
     centres = np.array([last.mesh.nodes[cell[cell >= 0]].mean(axis=0) for cell in last.mesh.cells])
     shown = last.values[find_points_inside(centres, box)]
-    low, high = np.nanpercentile(shown, [HIDDEN_PERCENT, 100 - HIDDEN_PERCENT])
+    low, high = np.nanpercentile(shown, [HIDDEN_PERCENT, 100 - HIDDEN_PERCENT]).tolist()
     figure, all_axes = _page(len(panels), box)
     for axes, panel in zip(all_axes, panels, strict=True):
-        cells = draw_cell_colours(axes, panel.mesh, panel.mesh.nodes, panel.values, (low, high))
+        cells = draw_cell_colours(axes, panel.mesh, panel.mesh.nodes, panel.values, ColourScale((low, high)))
         draw_outlines(axes, outlined)
         set_bounds(axes, box)
         axes.set_aspect("equal")

@@ -85,7 +85,7 @@ def test_plot_of_two_results_adds_the_difference(tmp_path: Path, write_result: W
     one, two = write_result(tmp_path / "a.vtkhdf"), write_result(tmp_path / "b.vtkhdf", curves=False)
     outcome = CliRunner().invoke(plot, [str(one), "--other", str(two), "--component", "x"])
     assert outcome.exit_code == 0, outcome.output
-    assert (tmp_path / "a.difference.png").exists()
+    assert (tmp_path / "a.difference_x.png").exists()
 
 
 @pytest.mark.parametrize(("kind", "remedy"), [("difference", "--other"), ("krylov", "another --kind"),

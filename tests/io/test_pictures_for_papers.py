@@ -21,7 +21,7 @@ from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import NODAL_INFINITESIMAL
 from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
-from ddic.plots.canvas import PIXELS, LengthUnit, format_title, make_image_figure
+from ddic.plots.canvas import PIXELS, ColourScale, LengthUnit, format_title, make_image_figure
 from ddic.plots.curves import draw_krylov
 from ddic.plots.maps import (
     Preview,
@@ -68,8 +68,9 @@ def figures(result: Result, unit: LengthUnit) -> dict[str, Figure]:
         "deformed": draw_deformed(result, "x", None, unit),
         "amplified": draw_deformed(result, "magnitude", 1e5, unit),
         "displacement": draw_displacement(result, image, "magnitude", unit),
-        "strain": draw_strain(result, StrainChoice(), unit),
-        "one strain": draw_strain(result, StrainChoice("hencky", "von-mises", by_cell=True), unit, (-1e-7, 1e-7)),
+        "strain": draw_strain(result, StrainChoice(), image, unit),
+        "one strain": draw_strain(result, StrainChoice("hencky", "von-mises", by_cell=True), None, unit,
+                                  [ColourScale((-1e-7, 1e-7))]),
         "residual": draw_residual(result, unit=unit),
         "signed": draw_residual(result, signed=True, unit=unit),
         "difference": draw_difference(result, result, "y", unit),
@@ -141,7 +142,7 @@ def test_physical_units_scale_axes_and_colours(result: Result) -> None:
 
 def test_displacement_lies_over_the_image(result: Result) -> None:
     image = Preview(np.arange(3000.0).reshape(50, 60), 1, 60, 50)
-    axes = draw_displacement(result, image, "y", limits=(-0.1, 0.2)).axes[0]
+    axes = draw_displacement(result, image, "y", scale=ColourScale((-0.1, 0.2))).axes[0]
     below, above = axes.images
     colours = axes.collections[0]
     assert below.get_zorder() < colours.get_zorder() < above.get_zorder()

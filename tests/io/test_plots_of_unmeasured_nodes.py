@@ -17,7 +17,7 @@ from ddic.cli.plot import plot
 from ddic.errors import InputError
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
-from ddic.plots.canvas import PIXELS
+from ddic.plots.canvas import OF_VALUES, PIXELS
 from ddic.plots.maps import (
     Values,
     draw_deformed,
@@ -95,7 +95,7 @@ def test_no_deformed_mesh_is_drawn_where_nothing_was_measured(part: Result) -> N
     with pytest.raises(InputError, match=r"part\.vtkhdf: no cell was measured"):
         draw_deformed(nothing)
     # Others have a page without colours.
-    blank = draw_values(part.mesh, [Values("none", "u", nothing.displacement[:, 0])], None, PIXELS, [None])
+    blank = draw_values(part.mesh, [Values("none", "u", nothing.displacement[:, 0])], None, PIXELS, [OF_VALUES])
     assert all((colour == 255).all() for colour in _look(blank, (*HOLLOW, *FULL)))
 
 

@@ -16,10 +16,11 @@ from PIL import Image
 from accept.report_page import find_clipped_texts
 from ddic.cli.info import info
 from ddic.cli.plot import plot
-from ddic.cli.plot_figures import Look, find_shared_scale
+from ddic.cli.plot_figures import find_shared_scale
 from ddic.cli.tables import crack, export, opening
 from ddic.io.series_reader import gather_history, read_series
-from ddic.plots.canvas import PIXELS, LengthUnit, draw_caption
+from ddic.plots.canvas import PIXELS, ColourScale, LengthUnit, draw_caption
+from ddic.plots.figures import Look
 from ddic.plots.maps import StrainChoice, draw_deformed, draw_strain
 from ddic.plots.series import draw_time_curves
 from support.series_files import STRAIN, FrameFile, write_series_file
@@ -156,31 +157,35 @@ def test_animations_have_a_page_a_frame(series: Path, kind: str) -> None:
 
 
 def test_colours_and_axes_of_an_animation_suit_all_frames(series: Path) -> None:
-    look = Look("x", StrainChoice(), None, LengthUnit(0.5, "mm"), None)
+    look = Look("x", StrainChoice(), None, LengthUnit(0.5, "mm"), ColourScale(percentiles=(0.0, 100.0)))
     opened = read_series(series)
     scale = find_shared_scale(opened, "displacement", look)
-    np.testing.assert_allclose(scale.limits, [(0.5 * 0.5 * STRAIN * 10, 0.5 * 3 * STRAIN * 50)])
-    panels = find_shared_scale(opened, "strain", look).limits
+    (of_panel,) = scale.scales
+    np.testing.assert_allclose(of_panel.limits or (), (0.5 * 0.5 * STRAIN * 10, 0.5 * 3 * STRAIN * 50))
+    panels = [of_panel.limits or () for of_panel in find_shared_scale(opened, "strain", look).scales]
     np.testing.assert_allclose(panels[0], (0.5 * STRAIN, 3 * STRAIN), rtol=1e-5)
     np.testing.assert_allclose(panels[1], (-1.5 * STRAIN, -0.25 * STRAIN), rtol=1e-5)
     # Colours of one value need a span: rounding's.
     np.testing.assert_allclose(panels[2], (0, 0), atol=1e-12)
-    asked = find_shared_scale(opened, "strain", Look("x", StrainChoice(), None, PIXELS, (0.0, 1.0)))
-    assert asked.limits == [(0.0, 1.0)] * 3
+    asked = find_shared_scale(opened, "strain", Look("x", scale=ColourScale((0.0, 1.0))))
+    assert [of_panel.limits for of_panel in asked.scales] == [(0.0, 1.0)] * 3
     # Residuals are 1, 3 and 4 everywhere.
-    assert find_shared_scale(opened, "residual", look).limits == [(0.0, 4.0)]
-    assert find_shared_scale(opened, "signed-residual", look).limits == [(-4.0, 4.0)]
+    assert find_shared_scale(opened, "residual", look).scales[0].limits == (0.0, 4.0)
+    assert find_shared_scale(opened, "signed-residual", look).scales[0].limits == (-4.0, 4.0)
+    # Of percentiles the bar says that they are, in every frame.
+    (by_percentiles,) = find_shared_scale(opened, "displacement", Look("x")).scales
+    assert by_percentiles.label("u") == "u\n2 to 98 % of the values"
 
 
 @pytest.mark.parametrize("amplification", [None, 5.0, -5.0])
 def test_deformed_meshes_of_an_animation_are_amplified_alike_and_stay_on_the_page(series: Path,
                                                                                amplification: float | None) -> None:
     opened = read_series(series)
-    view = find_shared_scale(opened, "deformed", Look("x", StrainChoice(), amplification, PIXELS, None)).view
+    view = find_shared_scale(opened, "deformed", Look("x", StrainChoice(), amplification)).view
     assert view is not None
     titles = set()
     for result in opened:
-        axes = draw_deformed(result, "x", amplification, PIXELS, None, view).axes[0]
+        axes = draw_deformed(result, "x", amplification, shared=view).axes[0]
         titles.add(axes.get_title())
         assert (*axes.get_xlim(), *axes.get_ylim()[::-1]) == (view.bounds[0], view.bounds[2], view.bounds[1],
                                                               view.bounds[3])

@@ -10,23 +10,23 @@ import click
 from ddic.cli.app import frame_option
 from ddic.cli.failures import failures_as_lines, warnings_as_lines
 from ddic.errors import InputError
+from ddic.plots.kinds import (
+    ANIMATED,
+    COMPONENTS,
+    CURVES,
+    KINDS,
+    MEASURES,
+    NUMBERS,
+    ONLY_ASKED_FOR,
+    OVER_IMAGE,
+    WITH_LIMITS,
+)
 
 if TYPE_CHECKING:
     from ddic.io.result_reader import Result
     from ddic.plots.maps import Preview
 
 
-CURVES = "curves"
-KINDS = ("partition", "deformed", "displacement", "strain", "residual", "signed-residual", "difference", "krylov",
-         "opening", "near-far", "modes", "corrections", "line")
-ONLY_ASKED_FOR = ("displacement", "signed-residual", "line")
-"""Kinds that show again, in another form or along a line, what others of ``all`` show."""
-
-OVER_IMAGE = ("partition", "displacement")
-WITH_LIMITS = ("deformed", "displacement", "strain", "residual", "signed-residual", "difference")
-ANIMATED = ("deformed", "displacement", "strain", "residual", "signed-residual")
-NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
-MEASURES = ("infinitesimal", "green-lagrange", "hencky")
 FORMATS = ("png", "pdf", "svg")
 MOVING = ("gif", "mp4")
 """Formats of animations."""
@@ -40,14 +40,21 @@ MOVING = ("gif", "mp4")
 @frame_option
 @click.option("--animate", is_flag=True, help="All frames of a series, one after the other, with the same colours.")
 @click.option("--fps", type=click.FloatRange(0.1, 100.0), default=5.0, help="Frames a second of an animation.")
-@click.option("--component", type=click.Choice(["x", "y", "magnitude"]), default="magnitude",
+@click.option("--component", type=click.Choice(COMPONENTS), default="magnitude",
               help="Displacement component in colour.")
 @click.option("--strain", "number", type=click.Choice(NUMBERS),
-              help="Strain in colour; by default a panel each of xx, yy and xy.")
+              help="Strain in colour, or with --kind sigma the strain whose standard deviation is; by default a panel "
+                   "each of xx, yy and xy.")
 @click.option("--measure", type=click.Choice(MEASURES), default="infinitesimal", help="Strain tensor that is drawn.")
 @click.option("--by-cell", is_flag=True, help="Draw the strain in the middle of cells, not that recovered at nodes.")
 @click.option("--limits", type=(float, float), metavar="LOW HIGH",
-              help="Where colours begin and end, in the unit of the colour bar.")
+              help="Where colours begin and end, in the unit of the colour bar; by default at --percentiles.")
+@click.option("--percentiles", type=(click.FloatRange(0, 100), click.FloatRange(0, 100)), metavar="LOW HIGH",
+              default=(2.0, 98.0), help="Of the values, between which colours lie; 0 100 for all values.")
+@click.option("--cmap", "palette", metavar="NAME", help="One of matplotlib's colour maps; by default that of the kind.")
+@click.option("--title", metavar="TEXT", help="In the place of the picture's own title; \"\" for none.")
+@click.option("--scale-bar", type=click.FloatRange(min=0), is_flag=False, flag_value=0.0, metavar="[LENGTH]",
+              help="Draw a scale bar, of a round length where none is given, in the unit of lengths.")
 @click.option("--amplification", type=float,
               help="Factor on the whole displacement of the deformed mesh; by default rigid motion is taken out, and "
                    "what is left is amplified as far as no cell folds.")
@@ -68,27 +75,30 @@ MOVING = ("gif", "mp4")
 def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
          component: Literal["x", "y", "magnitude"], number: str | None,
          measure: Literal["infinitesimal", "green-lagrange", "hencky"], by_cell: bool,
-         limits: tuple[float, float] | None, amplification: float | None,
+         limits: tuple[float, float] | None, percentiles: tuple[float, float], palette: str | None,
+         title: str | None, scale_bar: float | None, amplification: float | None,
          line: tuple[float, float, float, float] | None, units: str | None, other: Path | None, image: Path | None,
          ending: str | None, dpi: int, output: Path | None) -> None:
-    """Draw a result file as pictures named FILE.KIND.png, for papers as PDF or SVG.
+    """Draw a result file as pictures named FILE.KIND.png, FILE.strain_yy.png say, for papers as PDF or SVG.
 
     Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
     """
     # Imported here because matplotlib is not needed by --help.
-    from ddic.cli.plot_figures import Drawing, Look, PageFiles, plot_animation, plot_curves, plot_pictures
+    from ddic.cli.plot_figures import PageFiles, plot_animation, plot_curves, plot_pictures
     from ddic.io.result_schema import TIME
     from ddic.io.series_reader import is_series_file, read_frame, read_series
-    from ddic.plots.canvas import find_length_unit, format_caption
+    from ddic.plots.canvas import ColourScale, find_length_unit, format_caption
+    from ddic.plots.figures import Drawing, Look
     from ddic.plots.maps import StrainChoice
 
     folder = file.parent if output is None else output
     with failures_as_lines(folder):
         _check_limits(kind, limits)
+        _check_colours(percentiles, palette)
         if (kind == "line") != (line is not None):
             raise InputError("--line X1 Y1 X2 Y2 goes with --kind line: give both, or neither")
         stem = file.stem if frame is None else f"{file.stem}.frame_{frame}"
-        pages = PageFiles(folder, stem, _choose_ending(ending, animate=animate), dpi)
+        pages = PageFiles(folder, stem, _choose_ending(ending, animate=animate), dpi, (file, other, image))
         is_series = is_series_file(file)
         _check_frames(file, kind, frame, animate=animate, is_series=is_series)
         if is_series and frame is None and not animate:
@@ -101,9 +111,10 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
             second = None if other is None else read_frame(other, frame if is_series_file(other) else None)
         kinds = _choose_kinds(kind, result, second)
         preview = _read_reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
+        scale = ColourScale(limits, percentiles, palette)
         look = Look(component, StrainChoice(measure, number, by_cell), amplification, find_length_unit(result, units),
-                    limits)
-        drawing = Drawing(result, second, look, preview, line, (file, other, image))
+                    scale, title, scale_bar)
+        drawing = Drawing(result, second, look, preview, line)
         if series is not None:
             plot_animation(series, kind, drawing, pages, fps)
         else:
@@ -120,6 +131,18 @@ def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
         raise InputError(f"--limits {low:g} {high:g}: the first must be the smaller one")
     if kind not in WITH_LIMITS:
         raise InputError(f"--limits: for one kind with colours alone ({', '.join(WITH_LIMITS)}), not --kind {kind}")
+
+
+def _check_colours(percentiles: tuple[float, float], palette: str | None) -> None:
+    """Raise InputError where percentiles are no interval, or matplotlib has no colour map of a name."""
+    from matplotlib import colormaps
+
+    low, high = percentiles
+    if not low < high:
+        raise InputError(f"--percentiles {low:g} {high:g}: the first must be the smaller one")
+    if palette is not None and palette not in colormaps:
+        raise InputError(f"--cmap {palette}: matplotlib has no such colour map; viridis, cividis, magma and RdBu_r are "
+                         "some that it has")
 
 
 def _choose_ending(asked: str | None, *, animate: bool) -> str:
@@ -154,8 +177,8 @@ def _check_frames(path: Path, kind: str, number: int | None, *, animate: bool, i
 
 def _choose_kinds(asked: str, result: Result, other: Result | None) -> list[str]:
     """Figures to draw; raises InputError if the one asked for needs what is not there."""
-    from ddic.cli.plot_figures import find_lacking
     from ddic.io.result_schema import NODAL_INFINITESIMAL
+    from ddic.plots.figures import find_lacking
 
     lacking = find_lacking(result, other)
     if asked in lacking:
@@ -171,14 +194,14 @@ def _choose_kinds(asked: str, result: Result, other: Result | None) -> list[str]
 def _read_reference(result: Result, image: Path | None) -> Preview | None:
     """The image that is drawn below; None where it is no longer there."""
     from ddic.io.image_file import open_image
+    from ddic.plots.figures import find_reference
     from ddic.plots.maps import read_preview
 
+    image = find_reference(result) if image is None else image
     if image is None:
         named = str(result.attributes.get("provenance", {}).get("reference_path", ""))
-        image = Path(named)
-        if not image.is_file():
-            if named:
-                click.echo(f"warning: {named} is no longer there and not drawn; give the image by --image", err=True)
-            return None
+        if named:
+            click.echo(f"warning: {named} is no longer there and not drawn; give the image by --image", err=True)
+        return None
     with warnings_as_lines():
         return read_preview(open_image(image))

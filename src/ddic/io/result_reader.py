@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,31 @@ class Result:
         if self.separated is not None:
             return self.separated.at(positions)
         return interpolate(self.mesh, self.displacement, positions)
+
+    def plot(self, kind: str = "displacement", **look: Any) -> Any:
+        """Draw a picture, over the reference image if it is still where the measurement found it.
+
+        Parameters
+        ----------
+        kind : str
+            ``displacement``, ``strain``, ``sigma``, ``bias``, ``deformed``, ``residual`` or another ``--kind`` of
+            ``ddic plot``.
+        **look
+            ``component`` of the displacement (x, y, magnitude), ``number`` of the strain (xx, yy, xy, principal-1,
+            principal-2, von-mises), ``limits`` of the colours, ``palette`` (matplotlib's name), ``title``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Shown by a notebook; ``savefig`` writes it.
+
+        Raises
+        ------
+        InputError
+            Where the result does not hold what is to be drawn.
+        """
+        # Looked up when it is called, as plots are drawn of results.
+        return import_module("ddic.plots.figures").draw_picture(self, kind, **look)
 
     def to_meshio(self) -> Any:
         """Make a meshio mesh with all fields, whose ``write`` knows some forty formats.

@@ -1,8 +1,9 @@
 """What the figures share: axes in image coordinates, colours of nodes and cells, colour bars, saving.
 
-Titles are broken so that they fit. Lengths are in pixels, or in the case's length unit where the size of a pixel is
-known. Pages grow above what is on them already: for which frame of a series they show, and for a mark on pictures of
-fields that did not converge, so that none is taken for a result. Places on a picture have numbered marks.
+Titles are broken so that they fit. Colours begin and end at percentiles of the values, which the colour bar says: a few
+bad cells do not hide a field. Lengths are in pixels, or in the case's length unit where a pixel's is known. Pages grow
+above what is on them already: for which frame of a series they show, and for a mark on pictures of fields that did not
+converge, so that none is taken for a result. Places on a picture have numbered marks.
 """
 
 import math
@@ -16,7 +17,9 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection, TriMesh
+from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
@@ -108,8 +111,8 @@ NARROWEST_INCHES = 3.8
 TALLEST_INCHES = 8.0
 """Most height of the axes."""
 
-LEFT_INCHES, RIGHT_INCHES = 0.85, 1.15
-"""Beside the axes: numbers and label of y; the colour bar with its own."""
+LEFT_INCHES, RIGHT_INCHES = 0.85, 1.35
+"""Beside the axes: numbers and label of y; the colour bar with its own, and what its limits are."""
 
 BELOW_INCHES = 0.6
 """Below the axes: numbers and label of x."""
@@ -147,6 +150,52 @@ drawn as pixels."""
 
 Bounds = tuple[float, float, float, float]
 Limits = tuple[float, float]
+
+PERCENTILES = (2.0, 98.0)
+"""Of the values, where colours begin and end: values beyond have the colours of the ends, and the bar has arrows."""
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """How values become colours.
+
+    Attributes
+    ----------
+    limits : (float, float) or None
+        Where colours begin and end; where it is None, at percentiles of the values.
+    percentiles : (float, float)
+        Of the values.
+    palette : str or None
+        Name of matplotlib's colour map; None for that of what is drawn.
+    note : str
+        What the colour bar says of limits that are given.
+    """
+
+    limits: Limits | None = None
+    percentiles: tuple[float, float] = PERCENTILES
+    palette: str | None = None
+    note: str = ""
+
+    def find_limits(self, values: Array) -> Limits:
+        """Find where colours of values (n,) begin and end; those that are nan do not count."""
+        if self.limits is not None:
+            return self.limits
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return 0.0, 1.0
+        low, high = np.percentile(finite, self.percentiles).tolist()
+        # Colours of one value need a span; it is as wide as rounding would make it.
+        return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
+
+    def label(self, text: str) -> str:
+        """Label a colour bar: what is drawn, with its unit, and below it which values have colours of their own."""
+        low, high = self.percentiles
+        is_stated = self.limits is None and (low, high) != (0.0, 100.0)
+        note = f"{low:g} to {high:g} % of the values" if is_stated else self.note
+        return f"{text}\n{note}" if note else text
+
+
+OF_VALUES = ColourScale()
 
 
 def make_image_figure(bounds: Bounds, title: str, unit: LengthUnit = PIXELS, *,
@@ -222,13 +271,18 @@ def find_mesh_bounds(nodes: Array, margin: float = 0.03) -> Bounds:
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str) -> None:
-    """Add a labelled colour bar as high as the axes, or higher where they are flat."""
+def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str,
+                   shown_as: Colormap | None = None) -> None:
+    """Add a labelled colour bar as high as the axes, or higher where they are flat.
+
+    ``shown_as`` are its colours where those of ``mappable`` are seen through something else.
+    """
     width, height = axes.get_position().size * figure.get_size_inches()
     share = max(1.0, SHORTEST_BAR_INCHES / height)
     # x, y, width, height, of the axes'.
     beside = axes.inset_axes((1.0 + GAP_INCHES / width, 0.5 - 0.5 * share, BAR_INCHES / width, share))
-    bar = figure.colorbar(mappable, cax=beside, label=label, extend=_find_values_beyond(mappable))
+    coloured = mappable if shown_as is None else ScalarMappable(mappable.norm, shown_as)
+    bar = figure.colorbar(coloured, cax=beside, label=label, extend=_find_values_beyond(mappable))
     write_powers_of_ten(bar.ax.yaxis)
     bar.ax.yaxis.set_offset_position("left")
 
@@ -249,18 +303,6 @@ def _find_values_beyond(mappable: Any) -> Literal["neither", "min", "max", "both
     return "both" if below and above else "min" if below else "max" if above else "neither"
 
 
-def choose_limits(values: Array, asked: Limits | None = None) -> Limits:
-    """Choose where colours of values (n,) begin and end: as asked, or spanning all that are not nan."""
-    if asked is not None:
-        return asked
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = float(finite.min()), float(finite.max())
-    # Colours of one value need a span; it is as wide as rounding would make it.
-    return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
-
-
 def make_cell_polygons(mesh: Mesh, nodes: Array, **style: Any) -> PolyCollection:
     """Make polygons of the cells, their nodes drawn at (n_nodes, 2), in a style as matplotlib's collections take it."""
     nodes_of_cells = np.split(mesh.connectivity, mesh.offsets[1:-1])
@@ -268,24 +310,26 @@ def make_cell_polygons(mesh: Mesh, nodes: Array, **style: Any) -> PolyCollection
     return PolyCollection(corners, **style)
 
 
-def draw_cell_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, limits: Limits,
+def draw_cell_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, scale: ColourScale,
                       palette: str = COLOURS) -> PolyCollection:
-    """Draw values on cells (n_cells,) in colour, their nodes at (n_nodes, 2)."""
-    cells = make_cell_polygons(mesh, nodes, array=values, cmap=palette, edgecolors="face", linewidths=0.1, clim=limits,
+    """Draw values on cells (n_cells,) in colour, in a palette where the scale has none; nodes are at (n_nodes, 2)."""
+    cells = make_cell_polygons(mesh, nodes, array=values, cmap=scale.palette or palette, edgecolors="face",
+                               linewidths=0.1, clim=scale.find_limits(values),
                                rasterized=mesh.n_cells > MOST_SHARP_CELLS)
     axes.add_collection(cells)
     return cells
 
 
-def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, limits: Limits) -> TriMesh:
+def draw_nodal_colours(axes: Axes, mesh: Mesh, nodes: Array, values: Array, scale: ColourScale) -> TriMesh:
     """Draw values at nodes in colour, interpolated; nothing where a cell has a node without one, which is nan."""
     shown = np.zeros(mesh.n_cells, dtype=bool)
     shown[mesh.find_cells_among(np.isfinite(values))] = True
     of_cells = [block.cells for block in mesh.cell_blocks for _ in block.type.triangles]
     triangulation = make_triangulation(mesh, nodes)
     triangulation.set_mask(~shown[np.concatenate(of_cells)])
-    colours: TriMesh = axes.tripcolor(triangulation, values, shading="gouraud", cmap=COLOURS, vmin=limits[0],
-                                      vmax=limits[1], rasterized=True)
+    low, high = scale.find_limits(values)
+    colours: TriMesh = axes.tripcolor(triangulation, values, shading="gouraud", cmap=scale.palette or COLOURS, vmin=low,
+                                      vmax=high, rasterized=True)
     return colours
 
 
@@ -344,6 +388,42 @@ def draw_caption(figure: Figure, text: str) -> None:
     height = make_room_above(figure, ROOM_INCHES)
     figure.text(0.5, 1.0 - 0.5 * ROOM_INCHES / height, text, ha="center", va="center", fontsize=CAPTION_POINTS,
                 fontweight="bold")
+
+
+def replace_titles(figure: Figure, text: str) -> None:
+    """Put a text in the place of the titles of a page's axes; the page shrinks where it is empty."""
+    titled = [axes for axes in figure.axes if axes.get_title()]
+    if not titled:
+        return
+    n_lines = max(axes.get_title().count("\n") + 1 for axes in titled)
+    for axes in titled:
+        axes.set_title("")
+    width = float(figure.get_size_inches()[0])
+    lines = format_title(text, width - 2 * GAP_INCHES, TITLE_POINTS)
+    n_more = lines.count("\n") + 1 - n_lines if lines else -n_lines
+    height = make_room_above(figure, LINE_INCHES * n_more)
+    if lines:
+        figure.text(0.5, 1.0 - 0.5 * ABOVE_INCHES / height, lines, ha="center", va="top", fontsize=TITLE_POINTS)
+
+
+BAR_SHARE = 0.2
+"""Length of a scale bar over the width of the axes, at most, where none is asked for."""
+
+
+def draw_scale_bar(axes: Axes, unit: LengthUnit, length: float | None = None) -> None:
+    """Draw a bar with its length, of the axes' unit; a round one of at most a fifth of the axes' width by default."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    width, height = right - left, high - low
+    if length is None:
+        power = 10.0 ** math.floor(math.log10(BAR_SHARE * width))
+        length = power * max(step for step in (1, 2, 5) if step * power <= BAR_SHARE * width)
+    begin, y = left + 0.05 * width, low + 0.06 * height
+    outline = [withStroke(linewidth=4.0, foreground="black")]
+    axes.plot([begin, begin + length], [y, y], color="white", linewidth=2.5, solid_capstyle="butt",
+              path_effects=outline, clip_on=False)
+    axes.annotate(f"{length:g} {unit.name}", (begin + 0.5 * length, y), xytext=(0, 4), textcoords="offset points",
+                  ha="center", va="bottom", color="white", fontsize=10, fontweight="bold",
+                  path_effects=[withStroke(linewidth=2.5, foreground="black")])
 
 
 WORDS = "not converged"

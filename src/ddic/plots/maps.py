@@ -1,8 +1,8 @@
 """A value at the nodes or on the cells in colour, over the reference image where there is one.
 
 Maps of displacement, also around near fields, of strain, of the difference between two measured fields (Fig. 10) and of
-the correlation residual, the deformed mesh (Fig. 9), and an image thinned out to what a figure can show. Limits of
-colours are in the unit that is drawn.
+the correlation residual, of standard deviations and of the regularization's bias, the deformed mesh (Fig. 9), and an
+image thinned out to what a figure can show. Limits of colours are in the unit that is drawn.
 """
 
 import math
@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
@@ -27,11 +28,11 @@ from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
 from ddic.plots import canvas
-from ddic.plots.canvas import PIXELS, Bounds, Component, LengthUnit, Limits
+from ddic.plots.canvas import OF_VALUES, PIXELS, Bounds, ColourScale, Component, LengthUnit, Limits
 
 
 def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
-                    limits: Limits | None = None) -> Figure:
+                    scale: ColourScale = OF_VALUES) -> Figure:
     """Draw a result's displacement minus another's, interpolated to its nodes; nothing where either is unmeasured."""
     mesh, nodes = result.mesh, unit.size * result.mesh.nodes
     difference = unit.size * (result.displacement - _interpolate(other, mesh.nodes))
@@ -41,8 +42,9 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     title = f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} {unit.name}"
     figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
     values = canvas.pick_component(difference, component)
-    colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, canvas.choose_limits(values, limits))
-    canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label(r"\Delta u", component, unit))
+    colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, scale)
+    label = canvas.format_component_label(r"\Delta u", component, unit)
+    canvas.add_colour_bar(figure, axes, colours, scale.label(label))
     return figure
 
 
@@ -94,6 +96,11 @@ class Preview:
         right, bottom = (n_columns - 0.5) * self.step * size, (n_rows - 0.5) * self.step * size
         return axes.imshow(self.pixels, interpolation="nearest", rasterized=True, extent=(left, right, bottom, top),
                            **style)
+
+    def measure_grey(self) -> float:
+        """Measure the mean grey as it is shown, from 0, black, to 1."""
+        darkest, brightest = float(self.pixels.min()), float(self.pixels.max())
+        return (float(self.pixels.mean()) - darkest) / ((brightest - darkest) or 1.0)
 
     def clip(self, bounds: Bounds, size: float = 1.0) -> Bounds:
         """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
@@ -157,42 +164,49 @@ class Values:
 
 
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
-                      unit: LengthUnit = PIXELS, limits: Limits | None = None) -> Figure:
+                      unit: LengthUnit = PIXELS, scale: ColourScale = OF_VALUES) -> Figure:
     """Draw the displacement on the mesh at rest, over the reference image where it is given."""
     shown = Values(f"Displacement {canvas.format_component('u', component)}",
                    canvas.format_component_label("u", component, unit),
                    unit.size * canvas.pick_component(result.displacement, component))
-    return draw_values(result.mesh, [shown], image, unit, [limits])
+    return draw_values(result.mesh, [shown], image, unit, [scale])
 
 
 def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit: LengthUnit,
-                limits: Sequence[Limits | None]) -> Figure:
-    """Draw panels of values on one mesh, over the image where it is given.
-
-    ``limits`` are those of the colours of each panel; where they are None its values tell them.
-    """
+                scales: Sequence[ColourScale]) -> Figure:
+    """Draw panels of values on one mesh, over the image where it is given; ``scales`` has one for each panel."""
     nodes = unit.size * mesh.nodes
     bounds = canvas.find_mesh_bounds(nodes, MARGIN)
     if image is not None:
         bounds = image.clip(bounds, unit.size)
     figure, panels = canvas.make_panels([bounds] * len(shown), [panel.title for panel in shown], unit)
-    for axes, panel, asked in zip(panels, shown, limits, strict=True):
+    for axes, panel, scale in zip(panels, shown, scales, strict=True):
         draw = canvas.draw_cell_colours if panel.by_cell else canvas.draw_nodal_colours
-        colours = draw(axes, mesh, nodes, panel.values, canvas.choose_limits(panel.values, asked))
+        colours = draw(axes, mesh, nodes, panel.values, scale)
+        shown_as = None
         if image is not None:
             # The image once more, thinly, and not colours thinly over it: those of triangles would show their edges.
             image.draw(axes, unit.size)
             image.draw(axes, unit.size, opacity=1.0 - OPACITY)
             canvas.set_bounds(axes, bounds)
-        canvas.add_colour_bar(figure, axes, colours, panel.label)
+            shown_as = _mix_with_grey(colours.get_cmap(), image.measure_grey())
+        canvas.add_colour_bar(figure, axes, colours, scale.label(panel.label), shown_as)
     return figure
+
+
+def _mix_with_grey(palette: Colormap, grey: float) -> Colormap:
+    """The colours of a palette as they are seen with an image of a mean grey thinly over them."""
+    colours = palette(np.linspace(0.0, 1.0, palette.N))
+    colours[:, :3] = OPACITY * colours[:, :3] + (1.0 - OPACITY) * grey
+    return ListedColormap(colours, name=f"{palette.name} over an image")
 
 
 AROUND = 0.12
 """Around a near field, relative to its longer side."""
 
 
-def draw_near_far(result: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS) -> Figure:
+def draw_near_far(result: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
+                  scale: ColourScale = OF_VALUES) -> Figure:
     """Draw the displacement of the whole mesh, then around each near field in colours of its own.
 
     Near fields are outlined; titles tell alpha, in pixels, by which each near set-up moved.
@@ -209,11 +223,12 @@ def draw_near_far(result: Result, component: Component = "magnitude", unit: Leng
     figure, panels = canvas.make_panels(boxes, titles, unit)
     values = unit.size * canvas.pick_component(result.displacement, component)
     for axes, box in zip(panels, boxes, strict=True):
-        inside = values[find_points_inside(whole.nodes, box)]
-        colours = canvas.draw_nodal_colours(axes, whole, whole.nodes, values, canvas.choose_limits(inside))
+        limits = scale.find_limits(values[find_points_inside(whole.nodes, box)])
+        colours = canvas.draw_nodal_colours(axes, whole, whole.nodes, values, replace(scale, limits=limits))
         draw_outlines(axes, near)
         canvas.set_bounds(axes, box)
-        canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label("u", component, unit))
+        label = canvas.format_component_label("u", component, unit)
+        canvas.add_colour_bar(figure, axes, colours, scale.label(label))
     return figure
 
 
@@ -262,14 +277,14 @@ class StrainChoice:
     by_cell: bool = False
 
 
-def draw_strain(result: Result, choice: StrainChoice, unit: LengthUnit = PIXELS, limits: Limits | None = None,
-                of_panels: Sequence[Limits] | None = None, image: Preview | None = None) -> Figure:
+def draw_strain(result: Result, choice: StrainChoice, image: Preview | None = None, unit: LengthUnit = PIXELS,
+                scales: Sequence[ColourScale] = (OF_VALUES,)) -> Figure:
     """Draw strain on the mesh at rest, in one panel or three, over the image where it is given.
 
-    ``of_panels`` are limits of the colours of each panel, in place of ``limits``.
+    ``scales`` are those of the panels, or one for all of them.
     """
     panels = list_strain_panels(result, choice)
-    return draw_values(result.mesh, panels, image, unit, of_panels or [limits] * len(panels))
+    return draw_values(result.mesh, panels, image, unit, scales if len(scales) > 1 else [*scales] * len(panels))
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
@@ -306,6 +321,31 @@ def pick_number(tensors: Array, number: str) -> Array:
     if number == "von-mises":
         return strain.compute_von_mises_strain(tensors)
     return strain.find_principal_strains(tensors)[:, 0 if number == "principal-1" else 1]
+
+
+def list_sigma_panels(result: Result, component: Component, number: str | None, unit: LengthUnit) -> list[Values]:
+    """List panels of what noise leaves: of a strain at nodes where ``number`` names one, else of the displacement.
+
+    Of the displacement there is a panel for x and one for y, or that of one of them.
+    """
+    if number is not None:
+        name = schema.SIGMA_NODAL_STRAIN[PANELS.index(number)]
+        symbol = rf"$\sigma(\varepsilon_{{{number}}})$"
+        return [Values(f"Standard deviation {symbol}", f"{symbol} [-]", result.point_data[name])]
+    axes = "xy" if component == "magnitude" else component
+    panels = []
+    for axis in axes:
+        symbol = rf"$\sigma(u_{axis})$"
+        values = unit.size * result.point_data[schema.SIGMA_DISPLACEMENT["xy".index(axis)]]
+        panels.append(Values(f"Standard deviation {symbol}", f"{symbol} [{unit.name}]", values))
+    return panels
+
+
+def list_bias_panels(result: Result, component: Component, unit: LengthUnit) -> list[Values]:
+    """List the one panel of what the regularization takes from the displacement."""
+    symbol = canvas.format_component("b", component)
+    values = unit.size * canvas.pick_component(result.point_data[schema.REGULARIZATION_BIAS][:, :2], component)
+    return [Values(f"Bias of the regularization {symbol}", f"{symbol} [{unit.name}]", values)]
 
 
 VISIBLE_SHARE = 0.05
@@ -378,6 +418,12 @@ def _keep_measured(result: Result) -> tuple[Mesh, Array]:
     return mesh, result.displacement[node_ids]
 
 
+def remove_rigid_motion(result: Result) -> Array:
+    """Remove the rigid motion that fits best from the displacement of measured cells' nodes, (n, 2), pixels."""
+    mesh, displacement = _keep_measured(result)
+    return strain.project_rigid_motion_out(mesh.nodes, displacement)
+
+
 def _round_down(value: float) -> float:
     """The largest number of one digit that is not above a positive one."""
     power = 10.0 ** math.floor(math.log10(value))
@@ -385,21 +431,25 @@ def _round_down(value: float) -> float:
 
 
 def draw_deformed(result: Result, component: Component = "magnitude", amplification: float | None = None,
-                  unit: LengthUnit = PIXELS, limits: Limits | None = None, shared: SharedView | None = None) -> Figure:
+                  unit: LengthUnit = PIXELS, scale: ColourScale = OF_VALUES,
+                  shared: SharedView | None = None) -> Figure:
     """Draw the mesh moved by its amplified displacement, over the whole mesh at rest in grey.
+
+    In colour is the displacement that moves it.
 
     Cells with a node that was not measured are drawn at rest alone. ``amplification`` is of the whole displacement,
     rigid motion and all; where it is left out, one that shows the displacement without its rigid motion and folds no
-    cell. ``shared`` is of several results that are drawn alike; where it is left out, what fits this one. ``limits`` of
-    the colours are in the unit. Raises InputError where no cell was measured.
+    cell. ``shared`` is of several results that are drawn alike; where it is left out, what fits this one. Raises
+    InputError where no cell was measured.
     """
     mesh, displacement = _keep_measured(result)
     rest = unit.size * result.mesh.nodes
+    symbol = "u"
     if amplification is None:
-        departure = strain.project_rigid_motion_out(mesh.nodes, displacement)
+        displacement = strain.project_rigid_motion_out(mesh.nodes, displacement)
         factor = (shared or find_shared_view([result], None, unit)).factor
-        moved = unit.size * (mesh.nodes + factor * departure)
-        title = f"Deformed mesh without rigid motion, amplified {factor:g} times"
+        moved = unit.size * (mesh.nodes + factor * displacement)
+        title, symbol = f"Deformed mesh without rigid motion, amplified {factor:g} times", r"\tilde{u}"
     else:
         moved = unit.size * (mesh.nodes + amplification * displacement)
         n_folded = strain.count_folded_cells(mesh, moved)
@@ -410,12 +460,13 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
     at_rest = canvas.make_cell_polygons(result.mesh, rest, facecolors="0.9", edgecolors="0.9", linewidths=0.3)
     axes.add_collection(at_rest)
     values = unit.size * canvas.pick_component(displacement, component)
-    colours = canvas.draw_nodal_colours(axes, mesh, moved, values, canvas.choose_limits(values, limits))
+    colours = canvas.draw_nodal_colours(axes, mesh, moved, values, scale)
     if mesh.n_cells <= MOST_CELLS_WITH_EDGES:
         edges = canvas.make_cell_polygons(mesh, moved, facecolors="none", edgecolors="black", linewidths=0.15,
                                           rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
         axes.add_collection(edges)
-    canvas.add_colour_bar(figure, axes, colours, canvas.format_component_label("u", component, unit))
+    label = canvas.format_component_label(symbol, component, unit)
+    canvas.add_colour_bar(figure, axes, colours, scale.label(label))
     return figure
 
 
@@ -426,31 +477,33 @@ SHOWN_PERCENT = 99.5
 
 
 def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PIXELS,
-                  limits: Limits | None = None) -> Figure:
+                  scale: ColourScale = OF_VALUES) -> Figure:
     """Draw the residual f(x) - g(x + u) by pixel, or its RMS by cell if there is no residual image.
 
-    Colours end at the 99.5 % quantile of absolute values. If ``signed``, 0 is white; absolute values are drawn
-    otherwise. Raises InputError where a sign is asked for and there is no residual image.
+    Colours of pixels end at the 99.5 % quantile of absolute values. If ``signed``, 0 is white; else they are absolute
+    values. Raises InputError where a sign is asked for and there is no residual image.
     """
     image = result.residual_image
     if image is None:
         if signed:
             raise InputError(f"{result.path}: holds no residual image, hence no signs; measure with "
                              "output.residual_image = true, or choose --kind residual")
-        return _by_cell(result, unit, limits)
+        return _by_cell(result, unit, scale)
     bounds = canvas.find_mesh_bounds(unit.size * result.mesh.nodes)
     std = float(np.nanstd(image)) if np.isfinite(image).any() else float("nan")
     thinned = _thin(image)
-    low, high = limits or _span_shown(thinned.pixels, signed)
+    low, high = scale.limits or _span_shown(thinned.pixels, signed)
+    note = scale.note if scale.limits is not None else f"{SHOWN_PERCENT:g} % of the pixels"
     if signed:
         name, symbol, palette = "Signed correlation residual", "$f(x) - g(x + u)$", SIGNED_PALETTE
     else:
         name, symbol, palette = "Correlation residual", "$|f(x) - g(x + u)|$", RESIDUAL_PALETTE
         thinned = replace(thinned, pixels=np.abs(thinned.pixels))
     figure, axes = canvas.make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
-    colours = thinned.show(axes, unit.size, cmap=palette, vmin=low, vmax=high)
+    colours = thinned.show(axes, unit.size, cmap=scale.palette or palette, vmin=low, vmax=high)
     canvas.set_bounds(axes, bounds)
-    canvas.add_colour_bar(figure, axes, colours, f"{symbol} [grey levels]")
+    label = replace(scale, limits=(low, high), note=note).label(f"{symbol} [grey levels]")
+    canvas.add_colour_bar(figure, axes, colours, label)
     return figure
 
 
@@ -458,7 +511,7 @@ def find_residual_limits(result: Result, *, signed: bool = False) -> Limits:
     """Find where the colours of a residual begin and end, grey levels."""
     image = result.residual_image
     if image is None:
-        return canvas.choose_limits(result.cell_data[schema.RESIDUAL_RMS])
+        return OF_VALUES.find_limits(result.cell_data[schema.RESIDUAL_RMS])
     return _span_shown(_thin(image).pixels, signed)
 
 
@@ -477,11 +530,10 @@ def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:
     return (-top if signed else 0.0), top
 
 
-def _by_cell(result: Result, unit: LengthUnit, limits: Limits | None) -> Figure:
+def _by_cell(result: Result, unit: LengthUnit, scale: ColourScale) -> Figure:
     """RMS by cell in colour."""
     nodes, values = unit.size * result.mesh.nodes, result.cell_data[schema.RESIDUAL_RMS]
     figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), "Correlation residual by cell", unit)
-    cells = canvas.draw_cell_colours(axes, result.mesh, nodes, values, canvas.choose_limits(values, limits),
-                                     RESIDUAL_PALETTE)
-    canvas.add_colour_bar(figure, axes, cells, "RMS of $f(x) - g(x + u)$ [grey levels]")
+    cells = canvas.draw_cell_colours(axes, result.mesh, nodes, values, scale, RESIDUAL_PALETTE)
+    canvas.add_colour_bar(figure, axes, cells, scale.label("RMS of $f(x) - g(x + u)$ [grey levels]"))
     return figure

@@ -20,9 +20,6 @@ from ddic.plots import curves, maps
 from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
 from ddic.report import items
 
-SHOWN_PERCENT = 99.5
-"""Of the strains of nodes, those to either end of the colours."""
-
 DPI = 110
 """Dots an inch: sharp on a screen, and some hundred kilobytes a picture."""
 
@@ -59,22 +56,11 @@ def _draw_fields(gathered: items.Gathered, image: maps.Preview | None) -> list[D
     where = "in the middle of elements" if by_cell else "at nodes"
     if not by_cell or schema.STRAIN_INFINITESIMAL in result.cell_data:
         for pair in ("xx", "yy", "xy"):
-            caption = f"Infinitesimal strain {pair} {where}, {over}; colours end at the {SHOWN_PERCENT} % quantiles."
-            figure = _draw_strain(result, maps.StrainChoice("infinitesimal", pair, by_cell), image)
-            drawn.append((f"strain {pair}", caption, figure))
+            choice = maps.StrainChoice("infinitesimal", pair, by_cell)
+            drawn.append((f"strain {pair}", f"Infinitesimal strain {pair} {where}, {over}.",
+                          maps.draw_strain(result, choice, image, unit)))
     caption = "The deformed mesh without its rigid motion, amplified as the title says, over the mesh at rest."
     return [*drawn, ("deformed mesh", caption, maps.draw_deformed(result, unit=unit))]
-
-
-def _draw_strain(result: Result, choice: maps.StrainChoice, image: maps.Preview | None) -> Figure:
-    """Strain in colours that a few nodes at an edge do not decide."""
-    values = maps.pick_number(maps.pick_tensors(result, choice), choice.number or "xx")
-    known = values[np.isfinite(values)]
-    limits = None
-    if known.size:
-        low, high = np.percentile(known, [100.0 - SHOWN_PERCENT, SHOWN_PERCENT])
-        limits = (float(low), float(high)) if low < high else None
-    return maps.draw_strain(result, choice, find_length_unit(result), limits, image=image)
 
 
 def _draw_marked_residual(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> Drawn:

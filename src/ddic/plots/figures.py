@@ -1,0 +1,221 @@
+"""One picture of a result by its kind: what ``ddic plot``, ``Result.plot`` and the page draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from ddic.errors import InputError
+from ddic.fracture.opening import get_lines, measure_openings
+from ddic.io import result_schema as schema
+from ddic.io.image_file import open_image
+from ddic.io.result_reader import Result
+from ddic.plots import canvas, maps
+from ddic.plots.canvas import ColourScale
+from ddic.plots.curves import draw_corrections, draw_krylov, draw_line, draw_modes, draw_opening
+from ddic.plots.kinds import KINDS, NUMBERS, OVER_IMAGE
+from ddic.plots.partition import draw_partition
+
+OF_BOTH = ("difference", "krylov")
+"""Kinds that show a second result too, where there is one."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a result is drawn.
+
+    Attributes
+    ----------
+    component : {"x", "y", "magnitude"}
+        Of the displacement.
+    strain : StrainChoice
+        Of the strain.
+    amplification : float or None
+        Of the deformed mesh.
+    unit : LengthUnit
+        Of lengths.
+    scale : ColourScale
+        Of values.
+    title : str or None
+        In the place of what the picture says of itself; none where it is empty.
+    scale_bar : float or None
+        Length of a scale bar, in the unit; 0 for a round one, None for no bar.
+    """
+
+    component: canvas.Component = "magnitude"
+    strain: maps.StrainChoice = field(default_factory=maps.StrainChoice)
+    amplification: float | None = None
+    unit: canvas.LengthUnit = canvas.PIXELS
+    scale: ColourScale = canvas.OF_VALUES
+    title: str | None = None
+    scale_bar: float | None = None
+
+
+@dataclass(frozen=True)
+class SharedScale:
+    """What the frames of an animation have in common.
+
+    Attributes
+    ----------
+    scales : sequence of ColourScale
+        Of each panel.
+    view : SharedView or None
+        Of deformed meshes.
+    """
+
+    scales: Sequence[ColourScale]
+    view: maps.SharedView | None
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What is drawn.
+
+    Attributes
+    ----------
+    result, other : Result
+        What is shown, and a second one that it is compared with, or None.
+    look : Look
+        How.
+    preview : Preview or None
+        Of the reference image, below it.
+    line : four float, or None
+        Ends of the line along which a curve is drawn, pixels.
+    """
+
+    result: Result
+    other: Result | None
+    look: Look
+    preview: maps.Preview | None = None
+    line: tuple[float, float, float, float] | None = None
+
+
+def find_lacking(result: Result, other: Result | None) -> dict[str, str]:
+    """Find what cannot be drawn of a result, and of a second one to compare it with: the reason by kind."""
+    lacking = {}
+    if other is None:
+        lacking["difference"] = "--kind difference compares two results; give the second by --other"
+    if not _has_curves(result):
+        lacking["krylov"] = "holds no Krylov history (a direct method); choose another --kind"
+    if not get_lines(result):
+        lacking["opening"] = "was measured without discontinuities; choose another --kind"
+    if schema.SIGMA_DISPLACEMENT[0] not in result.point_data:
+        lacking["sigma"] = "holds no standard deviations; measure with output.uncertainty = true"
+    if schema.REGULARIZATION_BIAS not in result.point_data:
+        lacking["bias"] = ("holds no bias of a regularization; measure with one and with output.uncertainty = true")
+    if schema.CAMERA not in result.cell_data:
+        lacking["near-far"] = "is of one camera (a case without [[near]]); choose another --kind"
+    if result.separated is None:
+        lacking["modes"] = lacking["corrections"] = "was not measured by PGD-DIC ([pgd]); choose another --kind"
+    elif not len(result.corrections.get("correction", ())):
+        lacking["corrections"] = "took no correction; choose another --kind"
+    return lacking
+
+
+def _has_curves(result: Result) -> bool:
+    """Whether a result has a Krylov history."""
+    return any(len(history) for history in result.krylov)
+
+
+def find_reference(result: Result) -> Path | None:
+    """Find the file of the image that a result was measured from; None where it names none, or it is gone."""
+    named = str(result.attributes.get(schema.PROVENANCE, {}).get("reference_path", ""))
+    return Path(named) if named and Path(named).is_file() else None
+
+
+def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figure:
+    """Draw one picture of a kind that the result allows; ``shared`` is of the frames of an animation."""
+    figure = _draw_kind(kind, drawing, shared)
+    look = drawing.look
+    if look.scale_bar is not None:
+        for axes in figure.axes:
+            # The axes of an image, not those of curves.
+            if axes.yaxis_inverted():
+                canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
+    if look.title is not None:
+        canvas.replace_titles(figure, look.title)
+    shown = [drawing.other] if kind in OF_BOTH and drawing.other is not None else []
+    canvas.draw_failures(figure, [drawing.result, *shown])
+    return figure
+
+
+def _draw_kind(kind: str, drawing: Drawing, shared: SharedScale | None) -> Figure:
+    result, preview, look = drawing.result, drawing.preview, drawing.look
+    component, unit = look.component, look.unit
+    scales, view = ((look.scale,), None) if shared is None else (shared.scales, shared.view)
+    scale = scales[0]
+
+    def draw_panels(panels: Sequence[maps.Values]) -> Figure:
+        return maps.draw_values(result.mesh, panels, preview, unit, [scale] * len(panels))
+
+    by_kind: dict[str, Callable[[], Figure]] = {
+        "partition": lambda: draw_partition(result, preview, unit),
+        "deformed": lambda: maps.draw_deformed(result, component, look.amplification, unit, scale, view),
+        "displacement": lambda: maps.draw_displacement(result, preview, component, unit, scale),
+        "strain": lambda: maps.draw_strain(result, look.strain, preview, unit, scales),
+        "sigma": lambda: draw_panels(maps.list_sigma_panels(result, component, look.strain.number, unit)),
+        "bias": lambda: draw_panels(maps.list_bias_panels(result, component, unit)),
+        "residual": lambda: maps.draw_residual(result, unit=unit, scale=scale),
+        "signed-residual": lambda: maps.draw_residual(result, signed=True, unit=unit, scale=scale),
+        "difference": lambda: maps.draw_difference(result, drawing.other or result, component, unit, scale),
+        "krylov": lambda: _draw_krylov(result, drawing.other),
+        "opening": lambda: _draw_opening(result, unit),
+        "near-far": lambda: maps.draw_near_far(result, component, unit, scale),
+        "line": lambda: draw_line(result, drawing.line or (0.0, 0.0, 0.0, 0.0), unit),
+        "corrections": lambda: draw_corrections(result.corrections),
+    }
+    if result.separated is not None:
+        by_kind["modes"] = partial(draw_modes, result.separated)
+    return by_kind[kind]()
+
+
+def find_limits(result: Result, kind: str, look: Look) -> Sequence[canvas.Limits]:
+    """Find where the colours of a result by itself begin and end, a panel each, for a kind that can be animated."""
+    if kind == "strain":
+        return [look.scale.find_limits(panel.values) for panel in maps.list_strain_panels(result, look.strain)]
+    if kind in ("residual", "signed-residual"):
+        return [maps.find_residual_limits(result, signed=kind == "signed-residual")]
+    displacement = result.displacement
+    if kind == "deformed" and look.amplification is None:
+        displacement = maps.remove_rigid_motion(result)
+    return [look.scale.find_limits(look.unit.size * canvas.pick_component(displacement, look.component))]
+
+
+def _draw_krylov(result: Result, other: Result | None) -> Figure:
+    """Convergence of one result or two, which files' names tell apart, with their folders where these are the same."""
+    results = [one for one in (result, other) if one is not None and _has_curves(one)]
+    if len(results) == 1:
+        return draw_krylov({"": results[0].krylov})
+    names = [one.path.name for one in results]
+    return draw_krylov({str(one.path) if names.count(name) > 1 else name: one.krylov
+                        for name, one in zip(names, results, strict=True)})
+
+
+def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
+    """Opening of all lines."""
+    found = measure_openings(result)
+    return draw_opening({f"line {number}": (unit.size * of_line.distance, unit.size * of_line.tangential,
+                                            unit.size * of_line.normal)
+                         for number, of_line in enumerate(found, start=1)}, unit)
+
+
+def draw_picture(result: Result, kind: str, *, component: canvas.Component = "magnitude", number: str | None = None,
+                 limits: canvas.Limits | None = None, palette: str | None = None, title: str | None = None) -> Figure:
+    """Draw a picture of a result over its reference image, as ``Result.plot`` does."""
+    if kind not in KINDS or kind in ("difference", "line"):
+        drawable = [name for name in KINDS if name not in ("difference", "line")]
+        raise InputError(f"kind = {kind!r}: one of {', '.join(drawable)}")
+    if number is not None and number not in NUMBERS:
+        raise InputError(f"number = {number!r}: one of {', '.join(NUMBERS)}")
+    lacking = find_lacking(result, None)
+    if kind in lacking:
+        raise InputError(f"{result.path}: {lacking[kind]}")
+    reference = find_reference(result) if kind in OVER_IMAGE else None
+    preview = None if reference is None else maps.read_preview(open_image(reference))
+    look = Look(component, maps.StrainChoice(number=number), unit=canvas.find_length_unit(result),
+                scale=replace(canvas.OF_VALUES, limits=limits, palette=palette), title=title)
+    return draw(kind, Drawing(result, None, look, preview))

@@ -1,0 +1,39 @@
+"""Kinds of pictures, what can be asked of each, and what their files are called; without matplotlib."""
+
+from __future__ import annotations
+
+CURVES = "curves"
+KINDS = ("partition", "deformed", "displacement", "strain", "sigma", "bias", "residual", "signed-residual",
+         "difference", "krylov", "opening", "near-far", "modes", "corrections", "line")
+ONLY_ASKED_FOR = ("displacement", "signed-residual", "line")
+"""Kinds that show again, in another form or along a line, what others of ``all`` show."""
+
+OVER_IMAGE = ("partition", "displacement", "strain", "sigma", "bias")
+WITH_COMPONENT = ("deformed", "displacement", "sigma", "bias", "difference", "near-far")
+WITH_LIMITS = ("deformed", "displacement", "strain", "sigma", "bias", "residual", "signed-residual", "difference")
+ANIMATED = ("deformed", "displacement", "strain", "residual", "signed-residual")
+COMPONENTS = ("x", "y", "magnitude")
+NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
+"""What of a strain is drawn."""
+
+MEASURES = ("infinitesimal", "green-lagrange", "hencky")
+
+
+def name_picture(kind: str, component: str, number: str | None = None, measure: str = MEASURES[0],
+                 line: tuple[float, ...] | None = None, *, by_cell: bool = False) -> str:
+    """Name a picture by what it shows, so that none takes the place of another: ``strain_yy``, ``displacement_x``.
+
+    ``number`` is one of NUMBERS, None for all of them; ``line`` are the ends of a line.
+    """
+    parts = [kind]
+    if kind == "strain":
+        parts += [number] if number is not None else []
+        parts += [measure] if measure != MEASURES[0] else []
+        parts += ["by_cell"] if by_cell else []
+    elif kind == "sigma" and number is not None:
+        parts.append(number)
+    elif kind in WITH_COMPONENT and component != "magnitude":
+        parts.append(component)
+    elif kind == "line":
+        parts += [f"{value:g}" for value in line or ()]
+    return "_".join(parts)
