@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 import tifffile
 from click.testing import CliRunner
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from accept.report_page import find_clipped_texts
 from ddic.cli.check import check
 from ddic.cli.plot import plot
+from ddic.errors import InputError
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import NODAL_INFINITESIMAL
@@ -23,6 +25,7 @@ from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
 from ddic.plots.canvas import PIXELS, ColourScale, LengthUnit, format_title, make_image_figure
 from ddic.plots.curves import draw_krylov
+from ddic.plots.figures import Drawing, Look, draw
 from ddic.plots.maps import (
     Preview,
     StrainChoice,
@@ -212,6 +215,9 @@ def test_vector_files_and_dots(tmp_path: Path, write_result: Write) -> None:
 @pytest.mark.parametrize(("arguments", "message"), [
     (["--kind", "strain"], "--by-cell"),
     (["--kind", "deformed", "--limits", "1", "1"], "--limits 1 1"),
+    (["--kind", "deformed", "--percentiles", "98", "2"], "--percentiles 98 2"),
+    (["--kind", "deformed", "--cmap", "nonsense"], "no such colour map"),
+    (["--kind", "sigma"], "output.uncertainty = true"),
     (["--kind", "krylov", "--limits", "0", "1"], "not --kind krylov"),
     (["--limits", "0", "1"], "not --kind all"),
     (["--kind", "deformed", "--units", "physical"], "images.pixel_size"),
@@ -249,3 +255,94 @@ def test_the_preview_shows_cells_sets_and_lines(tmp_path: Path) -> None:
     np.testing.assert_array_equal(axes.lines[-1].get_xydata(), line)
     assert [text.get_text() for text in axes.get_legend().get_texts()] == [
         "left (5)", "right (5)", "top (5)", "bottom (5)", "line 1"]
+
+
+def test_three_bad_nodes_do_not_change_the_colours_of_the_others(result: Result) -> None:
+    mesh = build_structured_mesh((10, 10, 410, 410), 20)
+    field = 0.001 * mesh.nodes
+    spoilt = field.copy()
+    spoilt[100:103] = 50.0
+    good, bad = (replace(result, mesh=mesh, displacement=u) for u in (field, spoilt))
+    first, second = (draw_displacement(one, component="x").axes[0] for one in (good, bad))
+    span = np.ptp(first.collections[0].get_clim())
+    # Three of 441 nodes are less than the 2 % beyond the colours.
+    np.testing.assert_allclose(second.collections[0].get_clim(), first.collections[0].get_clim(), atol=0.05 * span)
+    label = second.child_axes[0].get_ylabel()
+    assert label.endswith("2 to 98 % of the values")
+    whole = draw_displacement(bad, component="x", scale=ColourScale(percentiles=(0.0, 100.0))).axes[0]
+    assert whole.collections[0].get_clim() == (pytest.approx(0.01), 50.0)
+    assert "%" not in whole.child_axes[0].get_ylabel()
+
+
+def test_the_colour_bar_has_the_colours_of_what_lies_under_the_image(result: Result) -> None:
+    grey = Preview(np.array([[0.0, 200.0], [50.0, 150.0]]).repeat(30, 0).repeat(30, 1), 1, 60, 60)
+    bar = draw_displacement(result, grey, "x").axes[0].child_axes[0]
+    (mesh,) = [c for c in bar.collections if c.get_array() is not None]
+    # 0.7 of a colour and 0.3 of the mean grey, half of what is white.
+    expected = 0.7 * np.array(colormaps["viridis"](0.0)[:3]) + 0.3 * 0.5
+    np.testing.assert_allclose(mesh.get_cmap()(0.0)[:3], expected, atol=1e-6)
+
+
+def test_the_deformed_mesh_has_the_colours_of_what_moves_it(result: Result) -> None:
+    moved = replace(result, displacement=result.mesh.nodes * [0.01, 0.0] + [500.0, 40.0])
+    colours = draw_deformed(moved, "x").axes[0].collections[1].get_array()
+    assert np.abs(colours).max() < 1.0
+    assert draw_deformed(moved, "x", 1.0).axes[0].collections[1].get_array().min() > 499.0
+
+
+def test_a_title_of_ones_own_stands_alone_and_an_empty_one_leaves_no_gap(result: Result) -> None:
+    strained = shaped(result, "as it is")
+    own, asked, without = (draw("strain", Drawing(strained, None, Look(title=title)))
+                           for title in (None, "Specimen 7", ""))
+    assert [axes.get_title() != "" for axes in own.axes] == [True] * 3
+    for figure in (asked, without):
+        assert [axes.get_title() for axes in figure.axes] == [""] * 3
+        assert find_clipped_texts(figure) == []
+    assert [text.get_text() for text in asked.texts] == ["Specimen 7"]
+    assert asked.get_size_inches()[1] == pytest.approx(own.get_size_inches()[1])
+    assert without.get_size_inches()[1] == pytest.approx(own.get_size_inches()[1] - 0.22)
+
+
+@pytest.mark.parametrize(("asked", "length"), [(0.0, 5.0), (12.5, 12.5)])
+def test_a_scale_bar_is_as_long_as_it_says(result: Result, asked: float, length: float) -> None:
+    (axes,) = draw("displacement", Drawing(result, None, Look(scale_bar=asked))).axes
+    (bar,) = axes.lines
+    # The axes are 44.8 px wide, of which a fifth is 9.
+    assert np.ptp(bar.get_xdata()) == pytest.approx(length)
+    assert [text.get_text() for text in axes.texts] == [f"{length:g} px"]
+
+
+def test_no_picture_takes_the_place_of_another(tmp_path: Path, write_result: Write) -> None:
+    path = write_result(tmp_path / "r.vtkhdf")
+    asked = (["--kind", "strain", "--by-cell", "--strain", "yy"], ["--kind", "strain", "--by-cell", "--strain", "xx"],
+             ["--kind", "strain", "--by-cell", "--measure", "hencky"], ["--kind", "displacement"],
+             ["--kind", "displacement", "--component", "x"], ["--kind", "line", "--line", "10", "10", "40", "20"])
+    for arguments in asked:
+        outcome = CliRunner().invoke(plot, [str(path), *arguments])
+        assert outcome.exit_code == 0, outcome.output
+    assert sorted(picture.name for picture in tmp_path.glob("*.png")) == [
+        "r.displacement.png", "r.displacement_x.png", "r.line_10_10_40_20.png", "r.strain_hencky_by_cell.png",
+        "r.strain_xx_by_cell.png", "r.strain_yy_by_cell.png"]
+
+
+def test_a_result_draws_itself(result: Result) -> None:
+    axes = result.plot("displacement", component="y", limits=(-1.0, 1.0), palette="cividis").axes[0]
+    assert axes.collections[0].get_clim() == (-1.0, 1.0)
+    assert axes.collections[0].get_cmap().name == "cividis"
+    for kind, message in (("colour", "one of partition"), ("difference", "one of partition"),
+                          ("sigma", "output.uncertainty"), ("near-far", "of one camera")):
+        with pytest.raises(InputError, match=message):
+            result.plot(kind)
+
+
+def test_standard_deviations_and_bias_are_drawn(result: Result) -> None:
+    n = result.mesh.n_nodes
+    fields = {"sigma_u": np.linspace(0.0, 1.0, n), "sigma_v": np.linspace(1.0, 2.0, n),
+              "sigma_exy": np.linspace(2.0, 3.0, n), "regularization_bias": np.full((n, 3), 3.0)}
+    known = replace(result, point_data={**result.point_data, **fields})
+    shown = [axes.collections[0].get_array() for axes in known.plot("sigma").axes]
+    np.testing.assert_array_equal(shown, [fields["sigma_u"], fields["sigma_v"]])
+    one = known.plot("sigma", number="xy").axes[0].collections[0].get_array()
+    np.testing.assert_array_equal(one, fields["sigma_exy"])
+    bias = known.plot("bias", component="magnitude").axes[0].collections[0].get_array()
+    np.testing.assert_allclose(bias, np.hypot(3.0, 3.0))

@@ -84,7 +84,7 @@ def test_curves_hold_what_was_measured_and_mark_what_was_not(series: Path) -> No
     assert find_clipped_texts(figure) == []
     displacement, strain, residual, _, iterations = figure.axes
     curves = {line.get_label(): line for line in displacement.lines}
-    np.testing.assert_allclose(curves["$u_x$, RMS"].get_ydata(), 0.5 * history.rms[:, 0])
+    np.testing.assert_allclose(curves["$u_x$, mean"].get_ydata(), 0.5 * history.mean[:, 0])
     for axes in figure.axes:
         marks = [line for line in axes.lines if line.get_linestyle() == "--"]
         assert [list(mark.get_xdata()) for mark in marks] == [[1.0, 1.0]]

@@ -183,7 +183,7 @@ class SeriesHistory:
         Unit chosen by the user.
     is_measured : (n,) array of bool
         Of each frame.
-    lowest, highest, rms : (n, 2) array
+    lowest, highest, mean : (n, 2) array
         Displacement components of measured nodes, pixels.
     principal_strains : (n, 2) array
         Means over the area of the measured specimen, the larger one first; of the logarithmic strain.
@@ -199,7 +199,7 @@ class SeriesHistory:
     is_measured: BoolArray
     lowest: Array
     highest: Array
-    rms: Array
+    mean: Array
     principal_strains: Array
     residual: Array
     noise_floor: Array
@@ -221,19 +221,19 @@ def gather_history(series: SeriesResult) -> SeriesHistory:
 
     return SeriesHistory(
         times=np.array([record["time"] for record in records], float), is_measured=is_measured, lowest=sizes[:, 0],
-        highest=sizes[:, 1], rms=sizes[:, 2], principal_strains=sizes[:, 3],
+        highest=sizes[:, 1], mean=sizes[:, 2], principal_strains=sizes[:, 3],
         residual=list_numbers("residual_std_grey"), noise_floor=list_numbers("noise_floor_px"),
         iterations=list_numbers("iterations"))
 
 
 def _measure_sizes(result: Result) -> Array:
-    """Least, largest and RMS displacement and the mean principal strains, (4, 2); nan where nothing was measured."""
+    """Least, largest and mean displacement and the mean principal strains, (4, 2); nan where nothing was measured."""
     displacement = result.displacement[result.measured_nodes]
     if not len(displacement):
         return np.full((4, 2), np.nan)
     strains = [_average(result.mesh, result.point_data[name])
                for name in (schema.NODAL_PRINCIPAL_1, schema.NODAL_PRINCIPAL_2)]
-    return np.array([displacement.min(axis=0), displacement.max(axis=0), np.sqrt((displacement**2).mean(axis=0)),
+    return np.array([displacement.min(axis=0), displacement.max(axis=0), displacement.mean(axis=0),
                      strains])
 
 

@@ -75,14 +75,14 @@ def _write_title(history: SeriesHistory, name: str) -> str:
 
 
 def _draw_displacement(axes: Axes, history: SeriesHistory, unit: LengthUnit) -> None:
-    """RMS of both components, and between which values they lie."""
+    """Mean of both components, and between which values they lie."""
     for component, (colour, symbol) in enumerate(((BLUE, "u_x"), (ORANGE, "u_y"))):
         low, high = unit.size * history.lowest[:, component], unit.size * history.highest[:, component]
         axes.fill_between(history.times, low, high, color=colour, alpha=0.18, linewidth=0,
                           label=f"${symbol}$, least to largest")
         for edge in (low, high):
             axes.plot(history.times, edge, color=colour, linewidth=0.7)
-        _draw_curve(axes, history, unit.size * history.rms[:, component], colour, f"${symbol}$, RMS")
+        _draw_curve(axes, history, unit.size * history.mean[:, component], colour, f"${symbol}$, mean")
     axes.margins(y=0.12)
     axes.set_ylabel(f"displacement\n[{unit.name}]")
 
