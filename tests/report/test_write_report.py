@@ -29,6 +29,7 @@ from ddic.images.binned import BLUR_NOTE
 from ddic.images.grey_levels import measure_feature_size
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import read_result
+from ddic.io.series_reader import read_series
 from ddic.report.items import (
     NOT_RECORDED,
     NOT_STATED,
@@ -37,8 +38,9 @@ from ddic.report.items import (
     gather_all,
     list_statements,
 )
-from ddic.report.page import draw_report_figures
+from ddic.report.page import draw_report_figures, write_report
 from support.commands import ddic as run_command
+from support.series_files import FrameFile, write_series_file
 
 CASE = """
 title = "a <strip> & its hole"
@@ -192,6 +194,19 @@ def test_missing_images_and_summary_are_said(folder: Path, tmp_path: Path) -> No
     ran = CliRunner().invoke(report, [str(folder / "result.vtkhdf"), "--image", str(tmp_path / "no.tif")])
     assert ran.exit_code == 2
     assert "no.tif: no such image; check --image" in ran.output
+
+
+def test_a_frame_of_a_series_is_shown_with_the_curves_of_all(tmp_path: Path, folder: Path) -> None:
+    path = write_series_file(tmp_path / "s.vtkhdf", [FrameFile(1.0), FrameFile(2.0)])
+    ((name, _, figure),) = draw_report_figures(gather_all(read_series(path)[1]), [])["series"]
+    assert (name, len(figure.axes)) == ("curves", 5)
+    write_report(read_series(path)[1], tmp_path / "s.html")
+    page = (tmp_path / "s.html").read_text()
+    assert "All frames of the series" in page
+    # What the frame's verdict says stands above all.
+    assert "Look before you trust this field: a place of frame 2" in page
+    assert state(folder / "result.vtkhdf")["Verdict"] == "trust this field"
+    assert draw_report_figures(gather_all(read_result(folder / "result.vtkhdf")), [])["series"] == []
 
 
 def test_a_measurement_from_memory_has_a_report(tmp_path: Path) -> None:

@@ -16,8 +16,10 @@ from ddic.io import result_schema as schema
 from ddic.io.input_file import as_path
 from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
+from ddic.io.series_reader import gather_history, is_series_file, read_series
 from ddic.plots import curves, maps
 from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
+from ddic.plots.series import draw_time_curves
 from ddic.report import items
 
 DPI = 110
@@ -31,10 +33,12 @@ Drawn = tuple[str, str, Figure]
 def draw_report_figures(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> dict[str, list[Drawn]]:
     """Draw all pictures that a result allows: name, caption and page of each, by section.
 
-    Sections are fields, residual, convergence and histograms; ``places`` are marked in the residual.
+    Sections are series (of a pair empty), fields, residual, convergence and histograms; ``places`` are marked in the
+    residual.
     """
     previews = {name: maps.read_preview(image) for name, image in gathered.images.items()}
     drawn = {
+        "series": _draw_series(gathered),
         "fields": _draw_fields(gathered, previews.get("reference")),
         "residual": [_draw_marked_residual(gathered, places)],
         "convergence": _draw_curves(gathered),
@@ -44,6 +48,15 @@ def draw_report_figures(gathered: items.Gathered, places: Sequence[items.WorstPl
         for _, _, figure in of_section:
             draw_failures(figure, [gathered.result])
     return drawn
+
+
+def _draw_series(gathered: items.Gathered) -> list[Drawn]:
+    """Curves over time of the series that a result is a frame of."""
+    path = gathered.result.path
+    if not is_series_file(path):
+        return []
+    figure = draw_time_curves(gather_history(read_series(path)), path.name, find_length_unit(gathered.result))
+    return [("curves", "All frames over time; the other pictures are of one of them.", figure)]
 
 
 def _draw_fields(gathered: items.Gathered, image: maps.Preview | None) -> list[Drawn]:
