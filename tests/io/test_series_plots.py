@@ -174,7 +174,7 @@ def test_colours_and_axes_of_an_animation_suit_all_frames(series: Path) -> None:
     assert find_shared_scale(opened, "signed-residual", look).scales[0].limits == (-4.0, 4.0)
     # Of percentiles the bar says that they are, in every frame.
     (by_percentiles,) = find_shared_scale(opened, "displacement", Look("x")).scales
-    assert by_percentiles.label("u") == "u\n2 to 98 % of the values"
+    assert by_percentiles.format_label("u") == "u\n2 to 98 % of the values"
 
 
 @pytest.mark.parametrize("amplification", [None, 5.0, -5.0])

@@ -11,7 +11,7 @@ import ddic
 from ddic.io.result_schema import DISTRUST, LOOK, TRUST
 from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
-from ddic.results.verdict import Evidence, find_tear, judge
+from ddic.results.verdict import Evidence, choose_verdict, find_tear
 from ddic.synth.fields import Translation
 from ddic.visibility.cell_errors import MarkedCells
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
@@ -27,18 +27,18 @@ def marked(state: int, n_cells: int) -> MarkedCells:
 
 
 def test_a_field_that_nothing_speaks_against_is_trusted() -> None:
-    verdict = judge(Evidence(1000, 0))
+    verdict = choose_verdict(Evidence(1000, 0))
     assert (verdict.word, verdict.reasons) == (TRUST, ())
     assert verdict.describe() == "trust this field"
     # Real images have some doubtful cells at edges.
-    assert judge(Evidence(1000, 20)).word == TRUST
-    assert judge(Evidence(1000, 21)).word == LOOK
+    assert choose_verdict(Evidence(1000, 20)).word == TRUST
+    assert choose_verdict(Evidence(1000, 21)).word == LOOK
 
 
 @pytest.mark.parametrize(("state", "remedy"), [(BLANK, "columns first"), (SPOILT, "what hides the specimen"),
-                                               (UNSEEN, "leaves it there"), (HELD_OFF, "cut_off_wavelength")])
+                                               (UNSEEN, "leaves the image there"), (HELD_OFF, "cut_off_wavelength")])
 def test_a_few_marked_cells_are_a_place_to_look_at(state: int, remedy: str) -> None:
-    verdict = judge(Evidence(1000, 3, [marked(state, 3)]))
+    verdict = choose_verdict(Evidence(1000, 3, [marked(state, 3)]))
     assert verdict.word == LOOK
     (reason,) = verdict.reasons
     assert reason.startswith("3 of 1000 cells ")
@@ -54,7 +54,7 @@ def test_a_few_marked_cells_are_a_place_to_look_at(state: int, remedy: str) -> N
     (Evidence(1000, 0, [marked(HELD_OFF, 51)]), "holds 5% of the cells off"),
 ])
 def test_a_field_that_is_mostly_unknown_or_torn_is_not_trusted(evidence: Evidence, why: str) -> None:
-    verdict = judge(evidence)
+    verdict = choose_verdict(evidence)
     assert verdict.word == DISTRUST
     assert why in verdict.reasons[0]
     # Where it is stays part of it.
@@ -63,17 +63,17 @@ def test_a_field_that_is_mostly_unknown_or_torn_is_not_trusted(evidence: Evidenc
 
 
 def test_bounds_are_not_reached_by_what_lies_below_them() -> None:
-    assert judge(Evidence(1000, 500, [marked(BLANK, 500)], shown_share=0.5)).word == LOOK
-    assert judge(Evidence(1000, 0, [marked(HELD_OFF, 50)])).word == LOOK
+    assert choose_verdict(Evidence(1000, 500, [marked(BLANK, 500)], shown_share=0.5)).word == LOOK
+    assert choose_verdict(Evidence(1000, 0, [marked(HELD_OFF, 50)])).word == LOOK
 
 
 def test_what_did_not_converge_is_not_trusted_and_says_why() -> None:
-    verdict = judge(Evidence(1000, 0), "no convergence\n after 50 iterations")
+    verdict = choose_verdict(Evidence(1000, 0), "no convergence\n after 50 iterations")
     assert (verdict.word, verdict.reasons) == (DISTRUST, ("no convergence after 50 iterations",))
 
 
 def test_the_same_image_twice_is_told() -> None:
-    verdict = judge(Evidence(1000, 0, residual=9e-7))
+    verdict = choose_verdict(Evidence(1000, 0, residual=9e-7))
     assert verdict.word == LOOK
     assert "is it the right file?" in verdict.reasons[0]
 

@@ -10,10 +10,11 @@ import numpy as np
 from ddic.arrays import IntArray
 from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.methods import find_method
-from ddic.case.named_files import list_cameras, list_named_files
+from ddic.case.named_files import list_cameras, list_deformed, list_named_files, list_times
 from ddic.case.own_outputs import check_output
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.check.images import check_decodable, check_images, check_near_mapping, check_texture
+from ddic.check.pattern import find_pattern
 from ddic.errors import InputError, Problems
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
@@ -94,6 +95,12 @@ class CheckReport:
         Waves that the cut-off wavelength halves, pixels; None without one.
     most_ranks : int
         MPI ranks that can share the work, unless subdomains without texture join others.
+    pattern : str
+        What the reference image's pattern asks of the elements; empty where it was not looked at.
+    n_bare_cells : int
+        Cells that have hardly any texture.
+    frames : tuple of (str, float)
+        Names of the images of a series and their times; empty for a pair.
     """
 
     image_size: tuple[int, int]
@@ -110,6 +117,9 @@ class CheckReport:
     discontinuities: str | None
     half_amplitudes: HalfAmplitudes | None
     most_ranks: int
+    pattern: str = ""
+    n_bare_cells: int = 0
+    frames: tuple[tuple[str, float], ...] = ()
 
 
 def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> LoadedCase:
@@ -135,7 +145,23 @@ def check_case_file(path: Path) -> CheckReport:
     for section in list_cameras(loaded.case):
         check_decodable(section, problems)
     problems.require_none()
-    return report
+    return _look_at_pattern(loaded, report)
+
+
+def _look_at_pattern(loaded: LoadedCase, report: CheckReport) -> CheckReport:
+    """The report with what the reference image's pattern asks of the mesh, and the frames of a series.
+
+    It takes as long as to read the image, hence is not part of what a run checks.
+    """
+    case = loaded.case
+    image = open_image(case.images.reference)
+    kept = loaded.kept_mesh.take(case)
+    mesh = find_method(case).build_result_mesh(case, image.width, image.height) if kept is None else kept[0]
+    pattern = find_pattern(image)
+    n_bare = 0 if case.near else int(pattern.find_bare(mesh.centroids).sum())
+    frames = tuple(zip((path.name for path in list_deformed(case.images)), list_times(case), strict=True))
+    return replace(report, pattern=pattern.describe_elements(measure_cell_size(mesh)), n_bare_cells=n_bare,
+                   frames=frames if loaded.is_series else ())
 
 
 def _load_readable_keys(path: Path) -> tuple[LoadedCase, list[str]]:
@@ -155,6 +181,10 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     case, problems = loaded.case, Problems()
     for line in list_unused_keys(case):
         warnings.warn(f"{loaded.path}: {line}", UserWarning, stacklevel=2)
+    if loaded.is_series and case.images.reference in list_deformed(case.images):
+        number = list_deformed(case.images).index(case.images.reference) + 1
+        warnings.warn(f"{loaded.path}: images.deformed: frame {number} is the reference image itself; narrow the "
+                      "pattern where that is not meant", UserWarning, stacklevel=2)
     reference, *_ = [check_images(section, problems) for section in list_cameras(case)]
     with problems.gathered(loaded.path):
         check_output(loaded)

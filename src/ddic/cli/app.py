@@ -33,6 +33,7 @@ def _check(_: click.Context, parameter: click.Parameter, value: Any) -> Any:
 
 
 COMMANDS = {
+    "new": "Write a case file to start from, for a pair of images or a series.",
     "run": "Measure the displacement between two images.",
     "check": "Validate all inputs of a case file without solving.",
     "synth": "Make image pairs with a known displacement.",

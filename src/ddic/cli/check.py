@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
 
 ENDINGS = (".png", ".pdf", ".svg")
+
+MOST_BARE = 0.2
+"""Share of the cells without texture up to which nothing is said in the last line."""
 
 
 @click.command()
@@ -37,7 +41,13 @@ def check(case_file: Path, drawing: Path | None) -> None:
         if drawing is not None:
             _check_drawing(drawing)
             require_own_output(drawing, PICTURE, (case_file,))
-        report = check_case_file(case_file)
+        try:
+            report = check_case_file(case_file)
+        except InputError:
+            # A picture of the mesh may say why.
+            if drawing is not None:
+                _draw_wrong(case_file, drawing)
+            raise
         if drawing is not None:
             loaded = load_case(case_file)
             require_own_output(drawing, PICTURE, loaded.list_inputs())
@@ -71,6 +81,25 @@ def _draw(case: Case, drawing: Path) -> None:
     save_figure(figure, drawing)
 
 
+def _draw_wrong(case_file: Path, drawing: Path) -> None:
+    """Draw the mesh of a case that was refused, as far as there are a mesh and an image."""
+    from ddic.case.loader import load_case_leniently
+    from ddic.case.own_outputs import PICTURE, require_own_output
+    from ddic.inputs.mesh_source import build_mesh_anywhere
+    from ddic.io.image_file import open_image
+    from ddic.plots.canvas import save_figure
+    from ddic.plots.maps import read_preview
+    from ddic.plots.partition import draw_mesh_preview
+
+    with suppress(InputError):
+        loaded, _ = load_case_leniently(case_file)
+        if loaded is not None:
+            require_own_output(drawing, PICTURE, loaded.list_inputs())
+            mesh = build_mesh_anywhere(loaded.case)
+            save_figure(draw_mesh_preview(mesh, read_preview(open_image(loaded.case.images.reference))), drawing)
+            click.echo(f"{'picture':<20}{drawing}")
+
+
 def _lines(report: CheckReport) -> list[tuple[str, str]]:
     """Names and values of what is printed."""
     width, height = report.image_size
@@ -81,6 +110,9 @@ def _lines(report: CheckReport) -> list[tuple[str, str]]:
         regularization = report.half_amplitudes.describe()
     else:
         regularization = "weight eta given" if report.n_controlled_dofs else "none"
+    share = report.n_bare_cells / report.n_cells
+    bare = (f"{report.n_bare_cells} of {report.n_cells} ({share:.0%}) have hardly any texture: move the region onto "
+            "the pattern, or mask them")
     cut = [] if report.discontinuities is None else [("discontinuities", report.discontinuities)]
     return [
         ("images", f"{width} x {height} px, {kind}"),
@@ -89,8 +121,11 @@ def _lines(report: CheckReport) -> list[tuple[str, str]]:
         *cut,
         ("unknowns", f"{report.n_dofs}, {report.n_controlled_dofs} of them mechanically controlled"),
         ("regularization", regularization),
+        *([("pattern", report.pattern)] if report.pattern else []),
+        *([("bare cells", bare)] if report.n_bare_cells else []),
+        *((f"frame {number}", f"{name}, time {time:g}") for number, (name, time) in enumerate(report.frames, start=1)),
         ("pixels per element", f"{report.pixels_min} at least, {report.pixels_mean:.1f} on average"),
         ("MPI ranks", f"{report.most_ranks} at most"),
         ("result", str(report.output)),
-        ("verdict", "ready to run"),
+        ("verdict", "ready to run" if share <= MOST_BARE else f"ready to run, but {share:.0%} of the mesh is bare"),
     ]

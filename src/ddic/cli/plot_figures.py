@@ -13,7 +13,7 @@ from ddic.io.replace_on_exit import made_folder, replaced_together
 from ddic.io.series_reader import SeriesResult, gather_history
 from ddic.plots import canvas, maps
 from ddic.plots.figures import Drawing, Look, SharedScale, draw, find_limits
-from ddic.plots.kinds import name_picture
+from ddic.plots.kinds import format_name
 from ddic.plots.series import draw_time_curves, write_animation
 
 
@@ -49,7 +49,7 @@ class PageFiles:
 def _name(kind: str, drawing: Drawing) -> str:
     """What a picture is called."""
     look, choice = drawing.look, drawing.look.strain
-    return name_picture(kind, look.component, choice.number, choice.measure, drawing.line, by_cell=choice.by_cell)
+    return format_name(kind, look.component, choice.number, choice.measure, drawing.line, by_cell=choice.by_cell)
 
 
 def plot_pictures(kinds: Sequence[str], drawing: Drawing, pages: PageFiles, caption: str | None) -> None:
@@ -106,7 +106,7 @@ def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScal
     found = np.array([find_limits(result, kind, look) for result in series])
     low, high = found[..., 0].min(axis=0).tolist(), found[..., 1].max(axis=0).tolist()
     # What the colour bar says of each frame by itself holds for all of them.
-    note = look.scale.label("").strip()
+    note = look.scale.format_label("").strip()
     scales = [replace(look.scale, limits=limits, note=note) for limits in zip(low, high, strict=True)]
     view = maps.find_shared_view(series, look.amplification, look.unit) if kind == "deformed" else None
     return SharedScale(scales if look.scale.limits is None else [look.scale] * len(scales), view)

@@ -159,7 +159,7 @@ class Result:
             Where the result does not hold what is to be drawn.
         """
         # Looked up when it is called, as plots are drawn of results.
-        return import_module("ddic.plots.figures").draw_picture(self, kind, **look)
+        return import_module("ddic.plots.figures").draw_result(self, kind, **look)
 
     def to_meshio(self) -> Any:
         """Make a meshio mesh with all fields, whose ``write`` knows some forty formats.

@@ -49,7 +49,7 @@ from ddic.results.measurement import last_field_kept
 from ddic.results.publishing import describe_images, write_case
 from ddic.results.residual_image import Patch, write_patches
 from ddic.results.summary import Summary, find_field_ranges
-from ddic.results.verdict import Evidence, judge
+from ddic.results.verdict import Evidence, choose_verdict
 from ddic.separated.band_sums import N_BANDS
 from ddic.separated.corrections import CorrectionRecord, SeparatedSolution, correct_displacement
 from ddic.separated.field import LineElements, SeparatedField
@@ -61,8 +61,8 @@ from ddic.visibility.cell_errors import (
     MarkedCells,
     bound_cells,
     describe_doubtful_cells,
+    describe_places,
     find_cell_errors,
-    name_places,
 )
 from ddic.visibility.exclusions import KEPT, UNSEEN
 
@@ -103,7 +103,7 @@ class OutputCells:
         n_unseen = int(unseen.sum())
         marked = []
         if n_unseen:
-            marked.append(MarkedCells(UNSEEN, n_unseen, name_places(*bound_cells(self.build_mesh(), unseen))))
+            marked.append(MarkedCells(UNSEEN, n_unseen, describe_places(*bound_cells(self.build_mesh(), unseen))))
         return Evidence(len(unseen), int(self.errors.doubtful.sum()), marked, residual=residual)
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
@@ -236,7 +236,7 @@ class SeparatedMeasurement:
     def verdict(self) -> Verdict:
         """Whether the displacement can be trusted."""
         residual = self.solution.grey.residual_std / (self.size.dynamic_range or 1.0)
-        return judge(self.cells.weigh(residual), self.failure)
+        return choose_verdict(self.cells.weigh(residual), self.failure)
 
     @property
     def unknowns(self) -> SeparatedField:

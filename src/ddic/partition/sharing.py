@@ -157,7 +157,7 @@ def _number_chains(ranks: Ranks, numbers: Sequence[IntArray], unknowns: Sequence
     shared = [np.flatnonzero(multiplicity > 1) for multiplicity, _ in unknowns]
     at_shared = [of_subdomain[at] for of_subdomain, at in zip(numbers, shared, strict=True)]
     said_there = [of_subdomain[:, at].T for of_subdomain, at in zip(said, shared, strict=True)]
-    told = share_among_copies(ranks, np.concatenate(at_shared), np.concatenate(said_there), decide_largest)
+    told = share_among_copies(ranks, np.concatenate(at_shared), np.concatenate(said_there), find_largest)
     for first, at, of_places in zip(said, shared, _split_by(told, shared), strict=True):
         first[:, at] = of_places.T
     return [(first, int(n_rows), int(n_copies)) for first, (n_rows, n_copies) in zip(said, counts, strict=True)]
@@ -174,7 +174,7 @@ def _number_owned(multiplicity: IntArray, position: IntArray, has_row: BoolArray
     return first, np.array([(n_copies - 1).sum(), n_copies.sum()])
 
 
-def decide_largest(numbers: IntArray, values: IntArray) -> IntArray:
+def find_largest(numbers: IntArray, values: IntArray) -> IntArray:
     """The largest of what the copies of each thing say, (n, k)."""
     thing = np.unique(numbers, return_inverse=True)[1]
     largest = np.full(values.shape, np.iinfo(np.int64).min)

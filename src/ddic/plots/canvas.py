@@ -187,7 +187,7 @@ class ColourScale:
         # Colours of one value need a span; it is as wide as rounding would make it.
         return (low, high) if low < high else (low - max(abs(low), 1e-12) * 1e-6, high + max(abs(high), 1e-12) * 1e-6)
 
-    def label(self, text: str) -> str:
+    def format_label(self, text: str) -> str:
         """Label a colour bar: what is drawn, with its unit, and below it which values have colours of their own."""
         low, high = self.percentiles
         is_stated = self.limits is None and (low, high) != (0.0, 100.0)
@@ -390,7 +390,7 @@ def draw_caption(figure: Figure, text: str) -> None:
                 fontweight="bold")
 
 
-def replace_titles(figure: Figure, text: str) -> None:
+def set_titles(figure: Figure, text: str) -> None:
     """Put a text in the place of the titles of a page's axes; the page shrinks where it is empty."""
     titled = [axes for axes in figure.axes if axes.get_title()]
     if not titled:

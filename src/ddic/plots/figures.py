@@ -137,7 +137,7 @@ def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figu
             if axes.yaxis_inverted():
                 canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
     if look.title is not None:
-        canvas.replace_titles(figure, look.title)
+        canvas.set_titles(figure, look.title)
     shown = [drawing.other] if kind in OF_BOTH and drawing.other is not None else []
     canvas.draw_failures(figure, [drawing.result, *shown])
     return figure
@@ -203,7 +203,7 @@ def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
                          for number, of_line in enumerate(found, start=1)}, unit)
 
 
-def draw_picture(result: Result, kind: str, *, component: canvas.Component = "magnitude", number: str | None = None,
+def draw_result(result: Result, kind: str, *, component: canvas.Component = "magnitude", number: str | None = None,
                  limits: canvas.Limits | None = None, palette: str | None = None, title: str | None = None) -> Figure:
     """Draw a picture of a result over its reference image, as ``Result.plot`` does."""
     if kind not in KINDS or kind in ("difference", "line"):

@@ -19,7 +19,7 @@ NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
 MEASURES = ("infinitesimal", "green-lagrange", "hencky")
 
 
-def name_picture(kind: str, component: str, number: str | None = None, measure: str = MEASURES[0],
+def format_name(kind: str, component: str, number: str | None = None, measure: str = MEASURES[0],
                  line: tuple[float, ...] | None = None, *, by_cell: bool = False) -> str:
     """Name a picture by what it shows, so that none takes the place of another: ``strain_yy``, ``displacement_x``.
 

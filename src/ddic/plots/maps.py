@@ -44,7 +44,7 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     values = canvas.pick_component(difference, component)
     colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, scale)
     label = canvas.format_component_label(r"\Delta u", component, unit)
-    canvas.add_colour_bar(figure, axes, colours, scale.label(label))
+    canvas.add_colour_bar(figure, axes, colours, scale.format_label(label))
     return figure
 
 
@@ -190,7 +190,7 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
             image.draw(axes, unit.size, opacity=1.0 - OPACITY)
             canvas.set_bounds(axes, bounds)
             shown_as = _mix_with_grey(colours.get_cmap(), image.measure_grey())
-        canvas.add_colour_bar(figure, axes, colours, scale.label(panel.label), shown_as)
+        canvas.add_colour_bar(figure, axes, colours, scale.format_label(panel.label), shown_as)
     return figure
 
 
@@ -228,7 +228,7 @@ def draw_near_far(result: Result, component: Component = "magnitude", unit: Leng
         draw_outlines(axes, near)
         canvas.set_bounds(axes, box)
         label = canvas.format_component_label("u", component, unit)
-        canvas.add_colour_bar(figure, axes, colours, scale.label(label))
+        canvas.add_colour_bar(figure, axes, colours, scale.format_label(label))
     return figure
 
 
@@ -466,7 +466,7 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
                                           rasterized=mesh.n_cells > canvas.MOST_SHARP_CELLS)
         axes.add_collection(edges)
     label = canvas.format_component_label(symbol, component, unit)
-    canvas.add_colour_bar(figure, axes, colours, scale.label(label))
+    canvas.add_colour_bar(figure, axes, colours, scale.format_label(label))
     return figure
 
 
@@ -502,7 +502,7 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
     figure, axes = canvas.make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
     colours = thinned.show(axes, unit.size, cmap=scale.palette or palette, vmin=low, vmax=high)
     canvas.set_bounds(axes, bounds)
-    label = replace(scale, limits=(low, high), note=note).label(f"{symbol} [grey levels]")
+    label = replace(scale, limits=(low, high), note=note).format_label(f"{symbol} [grey levels]")
     canvas.add_colour_bar(figure, axes, colours, label)
     return figure
 
@@ -535,5 +535,5 @@ def _by_cell(result: Result, unit: LengthUnit, scale: ColourScale) -> Figure:
     nodes, values = unit.size * result.mesh.nodes, result.cell_data[schema.RESIDUAL_RMS]
     figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), "Correlation residual by cell", unit)
     cells = canvas.draw_cell_colours(axes, result.mesh, nodes, values, scale, RESIDUAL_PALETTE)
-    canvas.add_colour_bar(figure, axes, cells, scale.label("RMS of $f(x) - g(x + u)$ [grey levels]"))
+    canvas.add_colour_bar(figure, axes, cells, scale.format_label("RMS of $f(x) - g(x + u)$ [grey levels]"))
     return figure

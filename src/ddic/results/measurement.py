@@ -32,7 +32,7 @@ from ddic.results.near import SetupMotion, measure_motions, summarize_near_field
 from ddic.results.publishing import describe_images
 from ddic.results.residual_image import write_residual_images
 from ddic.results.summary import Summary, find_field_ranges
-from ddic.results.verdict import Evidence, find_tear, judge
+from ddic.results.verdict import Evidence, choose_verdict, find_tear
 from ddic.solvers.gauss_newton import IterationRecord
 from ddic.visibility.cell_errors import (
     CellErrors,
@@ -163,7 +163,7 @@ class Measurement:
     @property
     def verdict(self) -> Verdict:
         """Whether the field can be trusted."""
-        return judge(self.evidence, self.failure)
+        return choose_verdict(self.evidence, self.failure)
 
     @property
     def n_iterations(self) -> int:

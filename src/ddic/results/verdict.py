@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from ddic.arrays import BoolArray, IntArray
 from ddic.io.result_schema import DISTRUST, LOOK, TRUST, Verdict
 from ddic.parallel.team import Team
-from ddic.partition.sharing import decide_largest, share_among_copies
+from ddic.partition.sharing import find_largest, share_among_copies
 from ddic.partition.subdomain import Subdomain
 from ddic.visibility.cell_errors import MarkedCells
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions, find_excluded
@@ -44,7 +44,7 @@ REMEDIES = {
     BLANK: "have no texture: move the region onto the pattern (regions are x0, y0, x1, y1: columns and rows of pixels, "
            "columns first), or mask what bears none",
     SPOILT: "show something else than the reference: look there for what hides the specimen, a reflection, or damage",
-    UNSEEN: "are not in the deformed image, or hardly: the specimen leaves it there",
+    UNSEEN: "hold too few pixels that both images show: the specimen leaves the image there, or something hides it",
     HELD_OFF: "are held by the regularization beside where the images show them: a shorter "
               "regularization.cut_off_wavelength follows them",
 }
@@ -76,7 +76,7 @@ class Evidence:
     residual: float = 1.0
 
 
-def judge(evidence: Evidence, failure: str = "") -> Verdict:
+def choose_verdict(evidence: Evidence, failure: str = "") -> Verdict:
     """Judge a field by what speaks against it; ``failure`` says why it is no result, empty where it converged."""
     if failure:
         return Verdict(DISTRUST, (" ".join(failure.split()),))
@@ -140,7 +140,7 @@ def _count_large_pieces(team: Team, subdomains: Sequence[Subdomain], are_chosen:
               for subdomain, pieces in zip(subdomains, numbered, strict=True)]
     nodes, own = (np.concatenate([values[at] for values, at in zip(of_subdomains, shared, strict=True)])
                   for of_subdomains in ([subdomain.node_ids for subdomain in subdomains], numbered))
-    other = share_among_copies(team, nodes, own[:, None], decide_largest)[:, 0]
+    other = share_among_copies(team, nodes, own[:, None], find_largest)[:, 0]
     pairs = np.unique(np.column_stack([own, other]), axis=0)
 
     n_cells = [np.bincount(pieces[subdomain.mesh.connectivity[subdomain.mesh.offsets[:-1]]][chosen], minlength=n)

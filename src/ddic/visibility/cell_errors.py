@@ -213,7 +213,7 @@ def find_marked_cells(team: Team, subdomains: Sequence[Subdomain], excluded: Exc
             found.append((boxes, subdomain.node_ids[nodes]))
         boxes, corners = (np.concatenate(parts) for parts in zip(*team.gather_lists(found), strict=True))
         if len(boxes):
-            marked.append(MarkedCells(state, len(boxes), name_places(boxes, corners)))
+            marked.append(MarkedCells(state, len(boxes), describe_places(boxes, corners)))
     return marked
 
 
@@ -236,7 +236,7 @@ def bound_cells(mesh: Mesh, chosen: BoolArray) -> tuple[Array, IntArray]:
     return np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]]), nodes
 
 
-def name_places(boxes: Array, corners: IntArray) -> str:
+def describe_places(boxes: Array, corners: IntArray) -> str:
     """Name the places that cells make which share nodes, the largest first.
 
     The cells' boxes, (n, 4), are first and last column, first and last row, pixels; ``corners``, (n, 4), their nodes.

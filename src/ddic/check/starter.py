@@ -1,0 +1,60 @@
+"""A case file to start from: images named, region and elements from the pattern, what else is often wanted told."""
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from ddic.check.pattern import FEATURES_A_SIDE, Pattern
+
+WAVELENGTHS = 5
+"""Elements of the cut-off wavelength that is named."""
+
+TEXT = """\
+# Written by ddic new. Look at the mesh with  ddic check {name} --plot mesh.png,  measure with  ddic run {name}.
+# Every key: docs/case-file.md. Coordinates are pixels of the reference image: x = column, y = row, from its upper left.
+
+[images]
+reference = {reference}
+deformed = {deformed}
+
+[mesh.structured]
+region = {region}    # x0, y0, x1, y1: where the reference image bears a pattern
+element_size = {element}    # px: {why}
+# circles = [{{ center = [{x}, {y}], radius = {element} }}]    # holes; polygons and masks: docs/case-file.md
+# Where noise is too strong, or elements are to be smaller: mechanics bridge what pixels do not tell.
+# [regularization]
+# cut_off_wavelength = {wavelength}    # px: waves that are shorter are damped; ddic sweep recommends one
+# not_controlled = ["left", "right", "top", "bottom"]    # edges at which the specimen goes on or is clamped
+
+[output]
+file = "{stem}.vtkhdf"    # ParaView and Python read it; ddic plot draws it
+# uncertainty = true    # standard deviations of displacement and strain at every node
+"""
+
+
+def write_starter_case(path: Path, reference: Path, deformed: Sequence[Path], pattern: Pattern,
+                       region: tuple[int, int, int, int]) -> str:
+    """Write the text of a case file at a path, of a pair or, of several deformed images, of a series.
+
+    Images in its folder or beside it are named from there.
+    """
+    images = [_name_image(image, path.parent) for image in deformed]
+    listed = images[0] if len(images) == 1 else "[\n    " + ",\n    ".join(images) + ",\n]"
+    element = pattern.choose_element_size()
+    features = "no features were found" if math.isnan(pattern.feature_size) else (
+        f"the pattern's features are {pattern.feature_size:.1f} px wide")
+    x0, y0, x1, y1 = region
+    return TEXT.format(name=path.name, stem=path.stem, reference=_name_image(reference, path.parent), deformed=listed,
+                       region=list(region), element=element, x=(x0 + x1) // 2, y=(y0 + y1) // 2,
+                       why=f"{features}; an element holds some {FEATURES_A_SIDE:g} along each side",
+                       wavelength=WAVELENGTHS * element)
+
+
+def _name_image(image: Path, folder: Path) -> str:
+    """A path as a TOML text: from the folder of the case where the image is in it or beside it."""
+    whole = image.absolute()
+    from_folder = os.path.relpath(whole, folder.absolute())
+    is_near = not from_folder.startswith(os.path.join(os.pardir, os.pardir))
+    return json.dumps(from_folder if is_near else str(whole), ensure_ascii=False)
