@@ -232,3 +232,19 @@ def test_threads_without_end_are_refused(tmp_path: Path, threads: str) -> None:
     problems = _problems(tmp_path, SMALLEST + f"[solver]\nthreads = {threads}\n")
     assert len(problems) == 1
     assert problems[0].startswith("solver.threads = ")
+
+
+@pytest.mark.parametrize(("line", "hint"), [
+    (r'reference = "C:\users\me\f.tif"', "write the path in '...', or with /"),
+    ("pixel_size = 0,0125", "numbers have a decimal point, no comma"),
+    ("pixel_size = -3,5 # mm", "numbers have a decimal point, no comma"),
+    ("pixel_size = 0.0125 0.1", ""),
+])
+def test_mistakes_that_everybody_makes_are_told_with_their_remedy(tmp_path: Path, line: str, hint: str) -> None:
+    path = tmp_path / "case.toml"
+    path.write_text(f"[images]\n{line}\n")
+    with pytest.raises(InputError) as caught:
+        load_case(path)
+    said = str(caught.value)
+    assert said.endswith(hint or "(at line 2, column 21)")
+    assert "at line 2" in said

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -50,7 +51,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
         data = tomllib.loads(text)
         problems = [f"{path}: {line}" for line in _list_unusable(data, "", 0)]
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+        raise InputError(f"{path}: not valid TOML: {error}{_find_hint(text, str(error))}") from error
     except RecursionError as error:
         raise InputError(f"{path}: lists or sections lie in one another more than {DEEPEST} levels deep; no key takes "
                          "that") from error
@@ -60,6 +61,20 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
     if problems:
         raise InputError(problems)
     return data
+
+
+def _find_hint(text: str, error: str) -> str:
+    """What to do about the mistakes that everybody makes in the line that an error names; empty for others."""
+    named = re.search(r"at line (\d+)", error)
+    lines = text.splitlines()
+    if named is None or int(named[1]) > len(lines):
+        return ""
+    line = lines[int(named[1]) - 1]
+    if "\\" in line:
+        return '; a backslash begins an escape in "...": write the path in \'...\', or with /'
+    if re.search(r"=\s*[-+]?\d+,\d", line):
+        return "; numbers have a decimal point, no comma"
+    return ""
 
 
 def _list_unusable(value: Any, key: str, depth: int) -> Iterator[str]:
