@@ -20,7 +20,7 @@ from ddic.cli.plot import plot
 from ddic.errors import InputError
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
-from ddic.io.result_schema import NODAL_INFINITESIMAL
+from ddic.io.result_schema import LOOK, NODAL_INFINITESIMAL, Verdict
 from ddic.kinematics.strain import count_folded_cells
 from ddic.mesh.structured import build_structured_mesh
 from ddic.plots.canvas import PIXELS, ColourScale, LengthUnit, format_title, make_image_figure
@@ -346,3 +346,13 @@ def test_standard_deviations_and_bias_are_drawn(result: Result) -> None:
     np.testing.assert_array_equal(one, fields["sigma_exy"])
     bias = known.plot("bias", component="magnitude").axes[0].collections[0].get_array()
     np.testing.assert_allclose(bias, np.hypot(3.0, 3.0))
+
+
+def test_a_notebook_shows_a_small_map_with_the_verdict(result: Result) -> None:
+    judged = replace(result, verdict=Verdict(LOOK, ("3 cells <here>",)))
+    page = judged._repr_html_()
+    assert "look before you trust this field: 3 cells &lt;here&gt;" in page
+    assert page.count("data:image/png;base64,") == 1
+    assert len(page) < 60_000
+    assert repr(judged).endswith(f"look, 20 nodes, 15 cells, 2 subdomains, {len(judged.fields)} fields>")
+    assert repr(judged.mesh).startswith("<ddic.Mesh: 20 nodes, 15 cells (")

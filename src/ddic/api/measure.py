@@ -73,6 +73,10 @@ class Session:
         # Unknowns of the last field alone: its images would stay in memory.
         self._last: Any = None
 
+    def __repr__(self) -> str:
+        state = "closed" if self._session is None else "prepared"
+        return f"<ddic.Session of {self._inputs.cameras[0].reference.image.path}: {state}>"
+
     def __enter__(self) -> Self:
         return self
 

@@ -209,6 +209,9 @@ class LoadedCase:
     stamps: FileStamps = field(default_factory=FileStamps)
     kept_mesh: KeptMesh = field(default_factory=KeptMesh, compare=False)
 
+    def __repr__(self) -> str:
+        return f"<ddic.LoadedCase {self.path}>"
+
     @property
     def is_series(self) -> bool:
         """Whether it names several deformed images."""

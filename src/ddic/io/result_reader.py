@@ -82,9 +82,15 @@ class Result:
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
-        doubt = "" if self.converged else " NOT CONVERGED,"
+        judged = "" if self.verdict is None else f" {self.verdict.word},"
+        doubt = judged if self.converged else " NOT CONVERGED,"
         return (f"<ddic.Result {origin}:{doubt} {self.mesh.n_nodes} nodes, {self.mesh.n_cells} cells, "
-                f"{self.n_subdomains} subdomains; fields {', '.join(self.fields)}>")
+                f"{self.n_subdomains} subdomains, {len(self.fields)} fields>")
+
+    def _repr_html_(self) -> str:
+        """Show a small map in a notebook."""
+        drawn: str = import_module("ddic.plots.figures").draw_thumbnail(self)
+        return drawn
 
     @property
     def converged(self) -> bool:

@@ -42,6 +42,9 @@ class SeriesResult:
     numbers: IntArray
     records: tuple[Mapping[str, Any], ...]
 
+    def __repr__(self) -> str:
+        return f"<ddic.SeriesResult {self.path}: {len(self)} of {len(self.records)} frames measured>"
+
     def __len__(self) -> int:
         return len(self.times)
 

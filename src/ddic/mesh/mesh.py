@@ -100,6 +100,11 @@ class Mesh:
     mapping: Similarity = field(default_factory=Similarity)
     parts: CellParts | None = None
 
+    def __repr__(self) -> str:
+        kinds = ", ".join(f"{len(block.cells)} {block.type.name}" for block in self.cell_blocks)
+        sets = f", node sets {', '.join(self.node_sets)}" if self.node_sets else ""
+        return f"<ddic.Mesh: {self.n_nodes} nodes, {self.n_cells} cells ({kinds}){sets}>"
+
     @property
     def dim(self) -> int:
         """Number of space dimensions."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from html import escape
+from io import BytesIO
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -201,6 +204,20 @@ def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
     return draw_opening({f"line {number}": (unit.size * of_line.distance, unit.size * of_line.tangential,
                                             unit.size * of_line.normal)
                          for number, of_line in enumerate(found, start=1)}, unit)
+
+
+THUMBNAIL_DPI = 60
+"""Dots an inch of the map that a notebook shows."""
+
+
+def draw_thumbnail(result: Result) -> str:
+    """Draw a small map of the displacement, as HTML, below what the result says of itself and its verdict."""
+    said = [repr(result)] if result.verdict is None else [repr(result), result.verdict.describe()]
+    text = "<br>".join(escape(line) for line in said)
+    stream = BytesIO()
+    draw_result(result, "displacement").savefig(stream, format="png", dpi=THUMBNAIL_DPI)
+    data = b64encode(stream.getvalue()).decode("ascii")
+    return f'<p>{text}</p><img alt="displacement" src="data:image/png;base64,{data}">'
 
 
 def draw_result(result: Result, kind: str, *, component: canvas.Component = "magnitude", number: str | None = None,
