@@ -52,5 +52,5 @@ print(abs(result.displacement - 0.3).max() < 0.01, result)
 """
     printed = run_python(code)
     # What a notebook shows is one line, whatever the size of the mesh.
-    assert printed.startswith("True <ddic.Result in memory: 20 nodes, 12 cells, 1 subdomains; fields GlobalNodeId, ")
+    assert printed.startswith("True <ddic.Result in memory: trust, 20 nodes, 12 cells, 1 subdomains, ")
     assert "\n" not in printed
