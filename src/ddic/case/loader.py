@@ -247,7 +247,11 @@ def load_case(path: Path | str) -> LoadedCase:
         each with the file, the key, the value and what is expected.
     """
     path = as_path(path, "case file")
-    text = read_text(path, "case file", "check the path")
+    return load_case_text(read_text(path, "case file", "check the path"), path)
+
+
+def load_case_text(text: str, path: Path) -> LoadedCase:
+    """Read a case from the text of its file, or of what the file is to be, as ``load_case`` does from the file."""
     place = path.resolve()
     _require_text_name(place)
     case = _absolute(parse_case_text(text, path), place.parent)
@@ -261,12 +265,20 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
     them; and the problems of the keys, one line each.
     """
     try:
-        return load_case(path), []
+        path = as_path(path, "case file")
+        text = read_text(path, "case file", "check the path")
+    except InputError as error:
+        return None, list(error.problems)
+    return load_text_leniently(text, path)
+
+
+def load_text_leniently(text: str, path: Path) -> tuple[LoadedCase | None, list[str]]:
+    """Read a case from the text of its file as far as it can be read, as ``load_case_leniently`` does from the file."""
+    try:
+        return load_case_text(text, path), []
     except InputError as error:
         problems = list(error.problems)
-    path = Path(path)
     try:
-        text = read_text(path, "case file", "check the path")
         _require_text_name(path.resolve())
         data = convert_shorthand(parse_toml(text, path))
     except InputError:

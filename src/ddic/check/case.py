@@ -14,7 +14,7 @@ from ddic.case.named_files import list_cameras, list_deformed, list_named_files,
 from ddic.case.own_outputs import check_output
 from ddic.case.schema import Case, RegularizationSection, SolverSection
 from ddic.check.images import check_decodable, check_images, check_near_mapping, check_texture
-from ddic.check.pattern import find_pattern
+from ddic.check.pattern import Pattern, find_pattern
 from ddic.errors import InputError, Problems
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
@@ -48,6 +48,9 @@ from ddic.partition.ties import Tying
 from ddic.problem.choose_solver import count_given_subdomains
 from ddic.problem.region_mesh import check_lines, describe_cut, describe_cut_off, list_discontinuities
 from ddic.solvers.petsc import require_packages
+
+MOST_BARE = 0.2
+"""Share of the cells without texture up to which nothing is said in the last line."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,37 @@ class CheckReport:
     n_bare_cells: int = 0
     frames: tuple[tuple[str, float], ...] = ()
 
+    def list_lines(self) -> list[tuple[str, str]]:
+        """List what ``ddic check`` prints: names and values."""
+        width, height = self.image_size
+        kind = "floating point" if self.bits is None else f"{self.bits} bit"
+        cells = ", ".join(f"{count} {name}" for name, count in self.cell_counts.items())
+        sets = ", ".join(f"{name} ({count} nodes)" for name, count in self.node_sets.items())
+        if self.half_amplitudes is not None:
+            regularization = self.half_amplitudes.describe()
+        else:
+            regularization = "weight eta given" if self.n_controlled_dofs else "none"
+        share = self.n_bare_cells / self.n_cells
+        bare = (f"{self.n_bare_cells} of {self.n_cells} ({share:.0%}) have hardly any texture: move the region onto "
+                "the pattern, or mask them")
+        cut = [] if self.discontinuities is None else [("discontinuities", self.discontinuities)]
+        return [
+            ("images", f"{width} x {height} px, {kind}"),
+            ("mesh", f"{self.n_nodes} nodes, {self.n_cells} cells ({cells})"),
+            ("node sets", sets or "none"),
+            *cut,
+            ("unknowns", f"{self.n_dofs}, {self.n_controlled_dofs} of them mechanically controlled"),
+            ("regularization", regularization),
+            *([("pattern", self.pattern)] if self.pattern else []),
+            *([("bare cells", bare)] if self.n_bare_cells else []),
+            *((f"frame {number}", f"{name}, time {time:g}")
+              for number, (name, time) in enumerate(self.frames, start=1)),
+            ("pixels per element", f"{self.pixels_min} at least, {self.pixels_mean:.1f} on average"),
+            ("MPI ranks", f"{self.most_ranks} at most"),
+            ("result", str(self.output)),
+            ("verdict", "ready to run" if share <= MOST_BARE else f"ready to run, but {share:.0%} of the mesh is bare"),
+        ]
+
 
 def load_checked_case(path: Path, n_ranks: int, output: Path | None = None) -> LoadedCase:
     """Load a case file and check everything that it names, free of communication.
@@ -145,19 +179,23 @@ def check_case_file(path: Path) -> CheckReport:
     for section in list_cameras(loaded.case):
         check_decodable(section, problems)
     problems.require_none()
-    return _look_at_pattern(loaded, report)
+    # It takes as long as to read the image, hence is not part of what a run checks.
+    image = open_image(loaded.case.images.reference)
+    return describe_pattern(report, loaded, build_checked_mesh(loaded, image), find_pattern(image))
 
 
-def _look_at_pattern(loaded: LoadedCase, report: CheckReport) -> CheckReport:
-    """The report with what the reference image's pattern asks of the mesh, and the frames of a series.
+def build_checked_mesh(loaded: LoadedCase, image: ImageSource) -> Mesh:
+    """Take the mesh of a case that was just checked, which is kept, or build it; pixels of its reference image."""
+    kept = loaded.kept_mesh.take(loaded.case)
+    if kept is not None:
+        return kept[0]
+    mesh: Mesh = find_method(loaded.case).build_result_mesh(loaded.case, image.width, image.height)
+    return mesh
 
-    It takes as long as to read the image, hence is not part of what a run checks.
-    """
+
+def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh, pattern: Pattern) -> CheckReport:
+    """Add to a report what the reference image's pattern asks of the mesh, and the frames of a series."""
     case = loaded.case
-    image = open_image(case.images.reference)
-    kept = loaded.kept_mesh.take(case)
-    mesh = find_method(case).build_result_mesh(case, image.width, image.height) if kept is None else kept[0]
-    pattern = find_pattern(image)
     n_bare = 0 if case.near else int(pattern.find_bare(mesh.centroids).sum())
     frames = tuple(zip((path.name for path in list_deformed(case.images)), list_times(case), strict=True))
     return replace(report, pattern=pattern.describe_elements(measure_cell_size(mesh)), n_bare_cells=n_bare,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.grey_levels import measure_feature_size
 from ddic.images.source import ImageSource
 
@@ -45,11 +45,14 @@ class Pattern:
     ----------
     has_texture : (n_rows, n_columns) bool array
         Of each block of BLOCK x BLOCK pixels.
+    strength : (n_rows, n_columns) array
+        Gradient energy of each block over that of the pattern.
     feature_size : float
         Width of a feature, pixels; nan where none is found.
     """
 
     has_texture: BoolArray
+    strength: Array
     feature_size: float
 
     def choose_element_size(self) -> int:
@@ -60,9 +63,17 @@ class Pattern:
 
     def find_bare(self, points: Array) -> BoolArray:
         """Find the points, (n, 2), pixels, about which the image has hardly any texture, (n,)."""
+        return np.asarray(~self.has_texture[self._find_blocks(points)])
+
+    def find_strength(self, points: Array) -> Array:
+        """Find how strong the pattern is about points, (n, 2), pixels, (n,): 1 where it is as in most of it."""
+        return np.asarray(self.strength[self._find_blocks(points)])
+
+    def _find_blocks(self, points: Array) -> tuple[IntArray, IntArray]:
+        """Rows and columns of the blocks that hold points."""
         n_rows, n_columns = self.has_texture.shape
         column, row = np.floor((points + 0.5) / BLOCK).astype(int).T
-        return np.asarray(~self.has_texture[np.clip(row, 0, n_rows - 1), np.clip(column, 0, n_columns - 1)])
+        return np.clip(row, 0, n_rows - 1), np.clip(column, 0, n_columns - 1)
 
     def describe_elements(self, size: float) -> str:
         """Say in a line of ``ddic check`` what the pattern asks of elements of a size, pixels."""
@@ -79,7 +90,8 @@ def find_pattern(image: ImageSource) -> Pattern:
     typical = float(np.percentile(energy, WELL_TEXTURED))
     # Single blocks, bare or not, say nothing of the specimen.
     has_texture = cv2.medianBlur((energy > HARDLY * typical).astype(np.uint8), 3) > 0
-    return Pattern(has_texture, measure_feature_size(image, _choose_places(has_texture)))
+    strength = energy / max(typical, 1e-300)
+    return Pattern(has_texture, strength, measure_feature_size(image, _choose_places(has_texture)))
 
 
 def _choose_places(has_texture: BoolArray) -> Array:

@@ -11,6 +11,8 @@ from ddic.check.pattern import FEATURES_A_SIDE, Pattern
 WAVELENGTHS = 5
 """Elements of the cut-off wavelength that is named."""
 
+UNNAMED = '"DEFORMED.tif"    # the image after loading: name it, or a pattern of several such as "frame_*.tif"'
+
 TEXT = """\
 # Written by ddic new. Look at the mesh with  ddic check {name} --plot mesh.png,  measure with  ddic run {name}.
 # Every key: docs/case-file.md. Coordinates are pixels of the reference image: x = column, y = row, from its upper left.
@@ -40,7 +42,7 @@ def write_starter_case(path: Path, reference: Path, deformed: Sequence[Path], pa
 
     Images in its folder or beside it are named from there.
     """
-    images = [_name_image(image, path.parent) for image in deformed]
+    images = [_name_image(image, path.parent) for image in deformed] or [UNNAMED]
     listed = images[0] if len(images) == 1 else "[\n    " + ",\n    ".join(images) + ",\n]"
     element = pattern.choose_element_size()
     features = "no features were found" if math.isnan(pattern.feature_size) else (

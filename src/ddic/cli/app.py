@@ -34,10 +34,12 @@ def _check(_: click.Context, parameter: click.Parameter, value: Any) -> Any:
 
 COMMANDS = {
     "new": "Write a case file to start from, for a pair of images or a series.",
+    "draw": "Draw a case on its image in the browser, and run it.",
     "run": "Measure the displacement between two images.",
     "check": "Validate all inputs of a case file without solving.",
     "synth": "Make image pairs with a known displacement.",
     "info": "Describe a result file or an image.",
+    "view": "Look at results in the browser.",
     "plot": "Draw the pictures of a result file.",
     "probe": "Read points, lines, strain gauges and extensometers on results.",
     "export": "Write the fields of a result as CSV tables.",
@@ -49,7 +51,8 @@ COMMANDS = {
     "calibrate": "Find where a near-field image lies in a far-field one.",
 }
 
-HOMES = {"calibrate": "calibrate:calibrate_near", "probe": "tables:probe", "export": "tables:export",
+HOMES = {"calibrate": "calibrate:calibrate_near", "draw": "page:draw", "view": "page:view",
+         "probe": "tables:probe", "export": "tables:export",
          "report": "info:report", "opening": "tables:opening", "crack": "tables:crack",
          "uncertainty": "studies:uncertainty", "sweep": "studies:sweep"}
 """Module and function of the commands whose name is not that of both."""

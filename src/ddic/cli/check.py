@@ -13,13 +13,8 @@ from ddic.errors import InputError
 
 if TYPE_CHECKING:
     from ddic.case.schema import Case
-    from ddic.check.case import CheckReport
-
 
 ENDINGS = (".png", ".pdf", ".svg")
-
-MOST_BARE = 0.2
-"""Share of the cells without texture up to which nothing is said in the last line."""
 
 
 @click.command()
@@ -52,7 +47,7 @@ def check(case_file: Path, drawing: Path | None) -> None:
             loaded = load_case(case_file)
             require_own_output(drawing, PICTURE, loaded.list_inputs())
             _draw(loaded.case, drawing)
-    for name, value in _lines(report):
+    for name, value in report.list_lines():
         click.echo(f"{name:<20}{value}")
     if drawing is not None:
         click.echo(f"{'picture':<20}{drawing}")
@@ -98,34 +93,3 @@ def _draw_wrong(case_file: Path, drawing: Path) -> None:
             mesh = build_mesh_anywhere(loaded.case)
             save_figure(draw_mesh_preview(mesh, read_preview(open_image(loaded.case.images.reference))), drawing)
             click.echo(f"{'picture':<20}{drawing}")
-
-
-def _lines(report: CheckReport) -> list[tuple[str, str]]:
-    """Names and values of what is printed."""
-    width, height = report.image_size
-    kind = "floating point" if report.bits is None else f"{report.bits} bit"
-    cells = ", ".join(f"{count} {name}" for name, count in report.cell_counts.items())
-    sets = ", ".join(f"{name} ({count} nodes)" for name, count in report.node_sets.items())
-    if report.half_amplitudes is not None:
-        regularization = report.half_amplitudes.describe()
-    else:
-        regularization = "weight eta given" if report.n_controlled_dofs else "none"
-    share = report.n_bare_cells / report.n_cells
-    bare = (f"{report.n_bare_cells} of {report.n_cells} ({share:.0%}) have hardly any texture: move the region onto "
-            "the pattern, or mask them")
-    cut = [] if report.discontinuities is None else [("discontinuities", report.discontinuities)]
-    return [
-        ("images", f"{width} x {height} px, {kind}"),
-        ("mesh", f"{report.n_nodes} nodes, {report.n_cells} cells ({cells})"),
-        ("node sets", sets or "none"),
-        *cut,
-        ("unknowns", f"{report.n_dofs}, {report.n_controlled_dofs} of them mechanically controlled"),
-        ("regularization", regularization),
-        *([("pattern", report.pattern)] if report.pattern else []),
-        *([("bare cells", bare)] if report.n_bare_cells else []),
-        *((f"frame {number}", f"{name}, time {time:g}") for number, (name, time) in enumerate(report.frames, start=1)),
-        ("pixels per element", f"{report.pixels_min} at least, {report.pixels_mean:.1f} on average"),
-        ("MPI ranks", f"{report.most_ranks} at most"),
-        ("result", str(report.output)),
-        ("verdict", "ready to run" if share <= MOST_BARE else f"ready to run, but {share:.0%} of the mesh is bare"),
-    ]

@@ -194,10 +194,10 @@ def _choose_kinds(asked: str, result: Result, other: Result | None) -> list[str]
 def _read_reference(result: Result, image: Path | None) -> Preview | None:
     """The image that is drawn below; None where it is no longer there."""
     from ddic.io.image_file import open_image
-    from ddic.plots.figures import find_reference
+    from ddic.plots.figures import find_image
     from ddic.plots.maps import read_preview
 
-    image = find_reference(result) if image is None else image
+    image = find_image(result) if image is None else image
     if image is None:
         named = str(result.attributes.get("provenance", {}).get("reference_path", ""))
         if named:

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -167,6 +167,21 @@ class Result:
         # Looked up when it is called, as plots are drawn of results.
         return import_module("ddic.plots.figures").draw_result(self, kind, **look)
 
+    def view(self) -> Any:
+        """Look at the file of this result on a page, which a notebook shows, as ``ddic view`` does.
+
+        Returns
+        -------
+        NotebookPage
+            With its address.
+
+        Raises
+        ------
+        InputError
+            Where ``ddic[page]`` is not installed, or the result is in no file.
+        """
+        return import_module("ddic.page.notebook").view_results(self.path)
+
     def to_meshio(self) -> Any:
         """Make a meshio mesh with all fields, whose ``write`` knows some forty formats.
 
@@ -266,6 +281,23 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
     except READ_ERRORS as error:
         raise InputError(f"{path}: not a readable ddic result file ({describe_damage(error)}); run ddic again"
                          ) from error
+
+
+def crop_result(result: Result, low: Array, high: Array) -> Result:
+    """Keep the cells of a result that touch the box from ``low`` to ``high``, (2,) each, pixels, and their nodes.
+
+    What is read inside the box is the same, and sooner. Where no cell touches it, the result is kept whole.
+    """
+    lowest, highest = result.mesh.outlines.find_boxes()
+    touches = ((highest >= low - SAME_NODE_PX) & (lowest <= high + SAME_NODE_PX)).all(axis=1)
+    cells = np.flatnonzero(touches)
+    if not len(cells):
+        return result
+    mesh, nodes = result.mesh.create_submesh(cells)
+    return replace(result, mesh=mesh, displacement=result.displacement[nodes],
+                   subdomain_ids=result.subdomain_ids[cells],
+                   point_data={name: values[nodes] for name, values in result.point_data.items()},
+                   cell_data={name: values[cells] for name, values in result.cell_data.items()})
 
 
 def displacement_at(result: Result, points: Array) -> Array:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, overload
 
@@ -63,6 +64,21 @@ class SeriesResult:
 
     def __iter__(self) -> Iterator[Result]:
         return (self._read(step) for step in range(len(self)))
+
+    def view(self) -> Any:
+        """Look at the frames on a page, which a notebook shows, as ``ddic view`` does.
+
+        Returns
+        -------
+        NotebookPage
+            With its address.
+
+        Raises
+        ------
+        InputError
+            Where ``ddic[page]`` is not installed.
+        """
+        return import_module("ddic.page.notebook").view_results(self.path)
 
     def _read(self, step: int) -> Result:
         number = self.numbers[step]

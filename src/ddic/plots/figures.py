@@ -124,9 +124,9 @@ def _has_curves(result: Result) -> bool:
     return any(len(history) for history in result.krylov)
 
 
-def find_reference(result: Result) -> Path | None:
-    """Find the file of the image that a result was measured from; None where it names none, or it is gone."""
-    named = str(result.attributes.get(schema.PROVENANCE, {}).get("reference_path", ""))
+def find_image(result: Result, which: str = "reference") -> Path | None:
+    """Find the reference or the deformed image that a result names; None where it names none, or it is gone."""
+    named = str(result.attributes.get(schema.PROVENANCE, {}).get(f"{which}_path", ""))
     return Path(named) if named and Path(named).is_file() else None
 
 
@@ -231,7 +231,7 @@ def draw_result(result: Result, kind: str, *, component: canvas.Component = "mag
     lacking = find_lacking(result, None)
     if kind in lacking:
         raise InputError(f"{result.path}: {lacking[kind]}")
-    reference = find_reference(result) if kind in OVER_IMAGE else None
+    reference = find_image(result) if kind in OVER_IMAGE else None
     preview = None if reference is None else maps.read_preview(open_image(reference))
     look = Look(component, maps.StrainChoice(number=number), unit=canvas.find_length_unit(result),
                 scale=replace(canvas.OF_VALUES, limits=limits, palette=palette), title=title)

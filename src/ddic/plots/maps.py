@@ -166,10 +166,14 @@ class Values:
 def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
                       unit: LengthUnit = PIXELS, scale: ColourScale = OF_VALUES) -> Figure:
     """Draw the displacement on the mesh at rest, over the reference image where it is given."""
-    shown = Values(f"Displacement {canvas.format_component('u', component)}",
+    return draw_values(result.mesh, list_displacement_panels(result, component, unit), image, unit, [scale])
+
+
+def list_displacement_panels(result: Result, component: Component, unit: LengthUnit) -> list[Values]:
+    """List the one panel of a displacement map."""
+    return [Values(f"Displacement {canvas.format_component('u', component)}",
                    canvas.format_component_label("u", component, unit),
-                   unit.size * canvas.pick_component(result.displacement, component))
-    return draw_values(result.mesh, [shown], image, unit, [scale])
+                   unit.size * canvas.pick_component(result.displacement, component))]
 
 
 def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit: LengthUnit,
@@ -532,8 +536,14 @@ def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:
 
 def _by_cell(result: Result, unit: LengthUnit, scale: ColourScale) -> Figure:
     """RMS by cell in colour."""
-    nodes, values = unit.size * result.mesh.nodes, result.cell_data[schema.RESIDUAL_RMS]
-    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), "Correlation residual by cell", unit)
-    cells = canvas.draw_cell_colours(axes, result.mesh, nodes, values, scale, RESIDUAL_PALETTE)
-    canvas.add_colour_bar(figure, axes, cells, scale.format_label("RMS of $f(x) - g(x + u)$ [grey levels]"))
+    nodes, panel = unit.size * result.mesh.nodes, list_residual_panels(result)[0]
+    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), panel.title, unit)
+    cells = canvas.draw_cell_colours(axes, result.mesh, nodes, panel.values, scale, RESIDUAL_PALETTE)
+    canvas.add_colour_bar(figure, axes, cells, scale.format_label(panel.label))
     return figure
+
+
+def list_residual_panels(result: Result) -> list[Values]:
+    """List the one panel of the residual by cell."""
+    return [Values("Correlation residual by cell", "RMS of $f(x) - g(x + u)$ [grey levels]",
+                   result.cell_data[schema.RESIDUAL_RMS], by_cell=True)]

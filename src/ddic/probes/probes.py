@@ -197,19 +197,37 @@ def load_probes(path: Path | str) -> list[Probe]:
         With the file, the key and what is expected.
     """
     path = as_path(path, "file of probes")
-    data = parse_toml(read_text(path, "file of probes", "check the path"), path)
+    probes = parse_probes(read_text(path, "file of probes", "check the path"), path)
+    if not probes:
+        raise InputError(f"{path}: holds no probe; give sections such as [point.A] with point = [x, y]")
+    return probes
+
+
+def parse_probes(text: str, path: Path) -> list[Probe]:
+    """Read the text of a file of probes, which may hold none; ``path`` names it in messages."""
+    data = parse_toml(text, path)
     try:
         probes = [_build_probe(kind, name, keys) for kind, named in data.items()
                   for name, keys in _check_kind(kind, named).items()]
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    if not probes:
-        raise InputError(f"{path}: holds no probe; give sections such as [point.A] with point = [x, y]")
     names = [probe.name for probe in probes]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise InputError(f"{path}: {', '.join(repeated)}: a name of several probes; give each its own")
     return probes
+
+
+def format_probe(probe: Probe) -> str:
+    """Write a probe as the section of a file of probes that ``load_probes`` reads; its name needs no quotes."""
+    lines = [f"[{KINDS[type(probe)]}.{probe.name}]"]
+    for field in fields(probe):
+        value = getattr(probe, field.name)
+        if field.name == "name" or value is None or value == field.default:
+            continue
+        written = f"[{value[0]:g}, {value[1]:g}]" if field.name in PLACES else f"{value:g}"
+        lines.append(f"{field.name} = {written}")
+    return "\n".join(lines) + "\n"
 
 
 def parse_probe(kind: str, name: str, text: str) -> Probe:

@@ -14,10 +14,19 @@ from numpy.typing import NDArray
 from ddic.arrays import Array
 from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
-from ddic.io.result_reader import Result
+from ddic.io.result_reader import Result, crop_result
 from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
-from ddic.probes.probes import KINDS, LineProbe, Measure, PointProbe, Probe, Reading, measure_probe
+from ddic.probes.probes import (
+    KINDS,
+    LineProbe,
+    Measure,
+    PointProbe,
+    Probe,
+    Reading,
+    list_samples,
+    measure_probe,
+)
 
 COLUMNS = (
     ("time", ""), ("result", ""), ("probe", ""), ("kind", ""),
@@ -83,8 +92,11 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
     for result in results:
         # That of the deformed image, as the case gives it; nan where the file says none.
         time = float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
-        records += [ProbeRecord(time, result.path.name, measure_probe(result, probe, measure),
-                                estimate_metrology(result, probe, noise), find_length_unit(result)) for probe in probes]
+        for probe in probes:
+            samples = list_samples(probe)
+            near = crop_result(result, samples.min(axis=0), samples.max(axis=0))
+            records.append(ProbeRecord(time, result.path.name, measure_probe(near, probe, measure),
+                                       estimate_metrology(near, probe, noise), find_length_unit(result)))
     return sorted(records, key=lambda record: record.time)
 
 

@@ -1,0 +1,84 @@
+"""Shapes by clicks: what is chosen is clicked point by point, and told when it is whole."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from bokeh.events import DoubleTap, Tap
+from bokeh.models import Button, ColumnDataSource, Div, Select
+
+from ddic.page.pane import ImagePane
+from ddic.page.shapes import Point
+
+NOTHING = "(move and zoom)"
+
+SAME_CLICK = 4.0
+"""Pixels of the screen within which a click repeats the one before it, as both of a double click do."""
+
+Snap = Callable[[Point, float], Point]
+"""Moves a point, pixels, to something within a distance of it."""
+
+
+class ClickDrawer:
+    """Collects the clicks of one shape after the other.
+
+    Parameters
+    ----------
+    pane : ImagePane
+        Where they are made.
+    forms : dict of (int, bool, str)
+        Of each thing that can be drawn: the least number of clicks, whether more may follow, and what to do.
+    done : callable
+        Told the name of a thing and its points, pixels rounded to what the screen shows.
+    snap : callable or None
+        Moves a point to what lies near.
+    """
+
+    def __init__(self, pane: ImagePane, forms: Mapping[str, tuple[int, bool, str]],
+                 done: Callable[[str, list[Point]], None], snap: Snap | None = None) -> None:
+        self._pane, self._forms, self._done, self._snap = pane, forms, done, snap
+        self._points: list[Point] = []
+        self.choice = Select(title="Draw", value=NOTHING, options=[NOTHING, *forms])
+        self.finish = Button(label="Finish", disabled=True)
+        self.hint = Div(text="")
+        self._pending = ColumnDataSource({"x": [], "y": []})
+        pane.figure.line("x", "y", source=self._pending, color="#ff3030", line_width=2)
+        pane.figure.scatter("x", "y", source=self._pending, color="#ff3030", size=7)
+        self.choice.on_change("value", lambda attribute, old, new: self._begin())
+        self.finish.on_click(self._end)
+        pane.figure.on_event(Tap, self._click)
+        pane.figure.on_event(DoubleTap, lambda event: self._end())
+
+    def _begin(self) -> None:
+        self._set_points([])
+        self.hint.text = self._forms[self.choice.value][2] if self.choice.value in self._forms else ""
+
+    def _click(self, event: Tap) -> None:
+        if self.choice.value not in self._forms:
+            return
+        pitch = self._pane.pitch
+        point = (float(event.x), float(event.y))
+        if self._points and math.dist(point, self._points[-1]) < SAME_CLICK * pitch:
+            return
+        if self._snap is not None:
+            point = self._snap(point, 2.0 * SAME_CLICK * pitch)
+        # Digits that the screen shows, and no more.
+        digits = max(math.ceil(-math.log10(pitch)), 0)
+        self._set_points([*self._points, (round(point[0], digits), round(point[1], digits))])
+        fewest, may_have_more, _ = self._forms[self.choice.value]
+        if len(self._points) == fewest and not may_have_more:
+            self._end()
+
+    def _end(self) -> None:
+        """Tell of the shape, if it is whole; the next one of its kind begins."""
+        name, points = self.choice.value, self._points
+        if name in self._forms and len(points) >= self._forms[name][0]:
+            self._set_points([])
+            self._done(name, points)
+
+    def _set_points(self, points: list[Point]) -> None:
+        self._points = points
+        self._pending.data = {"x": [x for x, _ in points], "y": [y for _, y in points]}
+        is_whole = self.choice.value in self._forms and len(points) >= self._forms[self.choice.value][0]
+        self.finish.disabled = not is_whole

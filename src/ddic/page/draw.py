@@ -1,0 +1,318 @@
+"""The page of ``ddic draw``: a case drawn on its reference image, checked as it grows, written, and run."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from html import escape
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    CheckboxGroup,
+    ColumnDataSource,
+    Div,
+    NumericInput,
+    Select,
+    TabPanel,
+    Tabs,
+    TextAreaInput,
+    TextInput,
+)
+from tomlkit.exceptions import TOMLKitError
+
+from ddic.case.loader import load_text_leniently
+from ddic.errors import InputError
+from ddic.page.case_run import RunBox
+from ddic.page.case_text import count_values, put_shape, remove_shape, set_number
+from ddic.page.clicks import ClickDrawer
+from ddic.page.drawn_case import CaseFile, Checked, DrawnCase, check_text, find_mask_outline
+from ddic.page.layers import Overlay, Picture, paint_edges, paint_field
+from ddic.page.pane import ImagePane
+from ddic.page.probe_box import FORMS, ProbeBox
+from ddic.page.shapes import BY_NAME, CLICKS, FEWEST, MESH, Point, Shape, list_shapes
+from ddic.page.view import show_results
+from ddic.page.windows import Raster
+
+EDGES, TEXTURE, WEAK = "mesh", "texture by element", "nodes of weak texture"
+
+STRENGTHS = (-2.0, 1.0)
+"""Decimal logarithms of the texture that colours show, where 0 is that of most of the pattern."""
+
+class DrawPage:
+    """One tab of ``ddic draw``.
+
+    Parameters
+    ----------
+    drawn : DrawnCase
+        What is drawn on, the same for all tabs.
+    document : Document
+        The tab.
+    """
+
+    def __init__(self, drawn: DrawnCase, document: Document) -> None:
+        self._drawn, self._document = drawn, document
+        self._checked = Checked(None, None, None, [])
+        self._outline = np.zeros((0, 2))
+        self._file = CaseFile(drawn)
+        self._undone: list[str] = []
+        self._worker = ThreadPoolExecutor(1)
+        self._n_asked = 0
+        self.pane = ImagePane(drawn.image, [self._paint])
+        self._shapes: dict[str, Shape] = {}
+        self._make_controls()
+        self._follow_text()
+        document.on_session_destroyed(lambda context: self._worker.shutdown(wait=False))
+
+    def _make_controls(self) -> None:
+        self._lines = ColumnDataSource({"xs": [], "ys": []})
+        self.pane.figure.multi_line("xs", "ys", source=self._lines, color="#ffd040", line_width=2)
+        self._weak = ColumnDataSource({"x": [], "y": []})
+        self.pane.figure.scatter("x", "y", source=self._weak, color="#ff3030", size=4)
+        self._wave = ColumnDataSource({"x": [], "y": [], "x1": [], "text": []})
+        self.pane.figure.segment("x", "y", "x1", "y", source=self._wave, color="#40ff80", line_width=4)
+        self.pane.figure.text("x", "y", "text", source=self._wave, color="#40ff80", y_offset=-6,
+                              text_font_size="13px")
+        self.probes = ProbeBox([], self._tell)
+        self.probes.show_on(self.pane)
+        forms = {kind.name: (FEWEST[kind.form], kind.form in ("polygon", "line"), CLICKS[kind.form])
+                 for kind in BY_NAME.values()}
+        self.drawer = ClickDrawer(self.pane, {**forms, **FORMS}, self._take, self._snap)
+        self.text = TextAreaInput(title=str(self._drawn.path), value=self._drawn.text, rows=22, width=430,
+                                  max_length=None,
+                                  stylesheets=["textarea { font-family: monospace; white-space: pre; }"])
+        self.text.on_change("value", lambda attribute, old, new: self._keep(old))
+        self.chosen = Select(title="Drawn", options=[], value="")
+        self.numbers = TextInput(title="Its points: x, y; x, y; ... (px)", width=430)
+        self.remove = Button(label="Remove")
+        self.undo = Button(label="Undo")
+        self.element_size = NumericInput(title="Element size (px)", mode="float", low=1, width=130)
+        self.wavelength = NumericInput(title="Cut-off wavelength (px)", mode="float", low=1, width=130)
+        self.shown = CheckboxGroup(labels=[EDGES, TEXTURE, WEAK], active=[0], inline=True)
+        self.messages = Div(width=430)
+        self.write = Button(label="Write the case", button_type="primary")
+        self.running = RunBox(self._drawn.run, self._document, self._write, self._open_result, self._tell)
+        self.chosen.on_change("value", lambda attribute, old, new: self._show_numbers())
+        self.numbers.on_change("value", lambda attribute, old, new: self._type_numbers(new))
+        self.remove.on_click(self._remove)
+        self.undo.on_click(self._undo)
+        for box, keys in ((self.element_size, (*MESH, "element_size")),
+                          (self.wavelength, ("regularization", "cut_off_wavelength"))):
+            box.on_change("value", partial(self._set_number, keys))
+        self.shown.on_change("active", lambda attribute, old, new: self._paint_again())
+        self.write.on_click(self._write)
+
+    @property
+    def layout(self) -> Tabs:
+        """What the tab shows."""
+        right = column(
+            row(self.drawer.choice, column(self.drawer.finish, self.undo)), self.drawer.hint,
+            row(self.chosen, self.remove), self.numbers,
+            row(self.element_size, self.wavelength), self.shown, self.messages,
+            row(self.write, *self.running.controls), self.running.log)
+        left = column(self.pane.figure)
+        drawing = TabPanel(title="Draw", child=row(left, right, column(self.text, self.probes.text)))
+        self._tabs = Tabs(tabs=[drawing])
+        return self._tabs
+
+    # What is clicked or typed changes the text, and all else follows from that.
+
+    def _keep(self, old: str) -> None:
+        self._undone.append(old)
+        self._follow_text()
+
+    def _undo(self) -> None:
+        if self._undone:
+            text = self._undone.pop()
+            self.text.value = text
+            # The change itself is no step back.
+            self._undone.pop()
+
+    def _take(self, name: str, points: list[Point]) -> None:
+        if name in FORMS:
+            self.probes.add(name, points)
+            return
+        kind = BY_NAME[name]
+        self._change(lambda text: put_shape(text, Shape(kind, tuple(points),
+                                                        count_values(text, kind) if kind.several else 0)))
+
+    def _remove(self) -> None:
+        shape = self._shapes.get(self.chosen.value)
+        if shape is not None:
+            self._change(lambda text: remove_shape(text, shape))
+
+    def _type_numbers(self, typed: str) -> None:
+        shape = self._shapes.get(self.chosen.value)
+        if shape is None or typed == _write_points(shape):
+            return
+        try:
+            points = _read_points(typed, FEWEST[shape.kind.form])
+        except InputError as error:
+            self._tell(error.problems)
+            return
+        self._change(lambda text: put_shape(text, Shape(shape.kind, points, shape.place)))
+
+    def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
+        if new != _find_number(self.text.value, keys):
+            self._change(lambda text: set_number(text, keys, new))
+
+    def _change(self, change: Callable[[str], str]) -> None:
+        try:
+            self.text.value = change(self.text.value)
+        except (InputError, TOMLKitError) as error:
+            self._tell([f"{self._drawn.path}: {error}"])
+
+    def _follow_text(self) -> None:
+        """Draw what the text says, and have it checked; of texts that follow one another fast, the last one."""
+        text = self.text.value
+        try:
+            data = tomllib.loads(text)
+        except tomllib.TOMLDecodeError:
+            data = None
+        if data is not None:
+            self._shapes = {shape.name: shape for shape in list_shapes(data)}
+            outlines = [shape.outline for shape in self._shapes.values()]
+            self._lines.data = {"xs": [outline[:, 0].tolist() for outline in outlines],
+                                "ys": [outline[:, 1].tolist() for outline in outlines]}
+            self.chosen.options = list(self._shapes)
+            if self.chosen.value not in self._shapes:
+                self.chosen.value = next(iter(self._shapes), "")
+            self._show_numbers()
+            self.element_size.value = _find_number(text, (*MESH, "element_size"))
+            self.wavelength.value = _find_number(text, ("regularization", "cut_off_wavelength"))
+        self._n_asked += 1
+        self._worker.submit(self._check, self._n_asked, text)
+
+    def _check(self, number: int, text: str) -> None:
+        """Check a text beside the page, unless another one was asked for since."""
+        if number == self._n_asked:
+            try:
+                checked = check_text(text, self._drawn)
+            except Exception as error:
+                checked = Checked(None, None, None, [f"{type(error).__name__}: {error}"])
+            self._document.add_next_tick_callback(partial(self._show_checked, checked))
+
+    # What was found is shown.
+
+    def _show_checked(self, checked: Checked) -> None:
+        self._checked = checked
+        self._outline = find_mask_outline(checked.loaded, self._drawn.image)
+        self._show_wavelength()
+        self._paint_again()
+        self._tell(checked.problems)
+
+    def _tell(self, problems: Sequence[str]) -> None:
+        """Say what is wrong, or what the check found."""
+        if problems:
+            said = "<br>".join(escape(line) for line in problems)
+            self.messages.text = f'<div style="color: #b00020">{said}</div>'
+        elif self._checked.report is not None:
+            rows = "".join(f"<tr><td><b>{escape(name)}</b></td><td>{escape(value)}</td></tr>"
+                           for name, value in self._checked.report.list_lines())
+            self.messages.text = f"<table>{rows}</table>"
+
+    def _show_wavelength(self) -> None:
+        """The cut-off wavelength to scale, at the upper left corner of the mesh."""
+        mesh, loaded = self._checked.mesh, self._checked.loaded
+        section = None if loaded is None else loaded.case.regularization
+        wavelength = None if section is None else section.cut_off_wavelength
+        if mesh is None or wavelength is None:
+            self._wave.data = {"x": [], "y": [], "x1": [], "text": []}
+            return
+        x, y = mesh.nodes.min(axis=0).tolist()
+        self._wave.data = {"x": [x], "y": [y], "x1": [x + wavelength], "text": [f"l_c = {wavelength:g} px"]}
+
+    def _paint_again(self) -> None:
+        mesh = self._checked.mesh
+        is_weak = np.zeros(0, dtype=bool)
+        if mesh is not None and WEAK in self._get_shown():
+            is_weak = self._drawn.pattern.find_bare(mesh.nodes)
+        nodes = mesh.nodes[is_weak] if mesh is not None and len(is_weak) else np.zeros((0, 2))
+        self._weak.data = {"x": nodes[:, 0], "y": nodes[:, 1]}
+        self.pane.paint()
+
+    def _get_shown(self) -> list[str]:
+        return [self.shown.labels[number] for number in self.shown.active]
+
+    def _paint(self, picture: Picture, raster: Raster) -> None:
+        mesh = self._checked.mesh
+        if mesh is None or not mesh.n_cells:
+            return
+        if TEXTURE in self._get_shown():
+            strength = np.log10(np.maximum(self._drawn.pattern.find_strength(mesh.centroids), 1e-12))
+            paint_field(picture, Overlay.find(mesh, raster).sample(strength, by_cell=True), STRENGTHS, "RdYlGn")
+        if EDGES in self._get_shown():
+            paint_edges(picture, raster, mesh, (90, 200, 255))
+
+    def _show_numbers(self) -> None:
+        shape = self._shapes.get(self.chosen.value)
+        self.numbers.value = "" if shape is None else _write_points(shape)
+
+    def _snap(self, point: Point, within: float) -> Point:
+        """Move a point onto the outline of the mesh's mask where that is near."""
+        if not len(self._outline):
+            return point
+        distance = np.linalg.norm(self._outline - point, axis=1)
+        nearest = int(distance.argmin())
+        x, y = self._outline[nearest].tolist()
+        return (x, y) if distance[nearest] <= within else point
+
+    # The case is written and run.
+
+    def _write(self) -> bool:
+        """Write the file; return whether it holds the text."""
+        try:
+            self._file.write(self.text.value)
+        except (InputError, OSError) as error:
+            self._tell([str(error)])
+            return False
+        return True
+
+    def _open_result(self) -> None:
+        """Show what was measured in a tab beside the drawing, in the place of what was shown there before."""
+        loaded, _ = load_text_leniently(self._file.text or "", self._drawn.path)
+        if loaded is None or not loaded.case.output.file.exists():
+            return
+        try:
+            layout = show_results([loaded.case.output.file], self.probes.probes, self._document)
+        except InputError as error:
+            self._tell(error.problems)
+            return
+        self._tabs.tabs = [self._tabs.tabs[0], TabPanel(title="Result", child=layout)]
+        self._tabs.active = 1
+
+
+def _find_number(text: str, keys: tuple[str, ...]) -> float | None:
+    """A number of a text; None where there is none."""
+    try:
+        data = tomllib.loads(text)
+        for key in keys:
+            data = data[key]
+    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        return None
+    return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
+
+
+def _write_points(shape: Shape) -> str:
+    return "; ".join(f"{x:g}, {y:g}" for x, y in shape.vertices)
+
+
+def _read_points(typed: str, fewest: int) -> tuple[Point, ...]:
+    try:
+        points = tuple((float(x), float(y)) for x, y in (pair.split(",") for pair in typed.split(";") if pair.strip()))
+    except ValueError:
+        points = ()
+    if len(points) < fewest or not np.isfinite(points).all():
+        raise InputError(f"{typed}: {fewest} points or more expected, as x, y; x, y; ...")
+    return points
+
+
+def make_draw_page(drawn: DrawnCase, document: Document) -> None:
+    """Fill a tab of the browser with the page of ``ddic draw``."""
+    page = DrawPage(drawn, document)
+    document.title = f"ddic draw {drawn.path.name}"
+    document.add_root(page.layout)

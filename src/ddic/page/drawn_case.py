@@ -1,0 +1,151 @@
+"""The case that a page draws on: how it begins, what its text comes to, and its file, which alone is written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ddic.arrays import Array
+from ddic.case.loader import LoadedCase, load_text_leniently
+from ddic.check.case import CheckReport, build_checked_mesh, check_case, describe_pattern
+from ddic.check.pattern import Pattern, choose_region, find_pattern
+from ddic.check.starter import write_starter_case
+from ddic.errors import InputError
+from ddic.inputs.mesh_source import build_mesh_anywhere
+from ddic.io.image_file import hold_image, read_mask
+from ddic.io.input_file import find_real_path
+from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.text_files import read_text
+from ddic.mesh.mesh import Mesh
+from ddic.page.case_run import CaseRun
+from ddic.page.windows import ScreenImage
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnCase:
+    """What a page of ``ddic draw`` draws on, the same for all tabs.
+
+    Attributes
+    ----------
+    path : Path
+        The case file, alone written to.
+    text : str
+        To begin with.
+    is_new : bool
+        Whether there is no file yet.
+    image : ScreenImage
+        The reference image.
+    pattern : Pattern
+        It bears.
+    run : CaseRun
+        Of the case.
+    """
+
+    path: Path
+    text: str
+    is_new: bool
+    image: ScreenImage
+    pattern: Pattern
+    run: CaseRun
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What the text of a case comes to.
+
+    Attributes
+    ----------
+    loaded : LoadedCase or None
+        As far as it can be read.
+    mesh : Mesh or None
+        As far as there is one.
+    report : CheckReport or None
+        Where nothing is wrong.
+    problems : sequence of str
+        One line each.
+    """
+
+    loaded: LoadedCase | None
+    mesh: Mesh | None
+    report: CheckReport | None
+    problems: Sequence[str]
+
+
+def check_text(text: str, drawn: DrawnCase) -> Checked:
+    """Check the text of a case as ``ddic check`` checks its file; its mesh comes also where something else is wrong."""
+    loaded, problems = load_text_leniently(text, drawn.path)
+    if loaded is None:
+        return Checked(None, None, None, problems)
+    try:
+        report = check_case(loaded, None, problems)
+        mesh = build_checked_mesh(loaded, drawn.image.source)
+        return Checked(loaded, mesh, describe_pattern(report, loaded, mesh, drawn.pattern), [])
+    except InputError as error:
+        problems = list(error.problems)
+    try:
+        return Checked(loaded, build_mesh_anywhere(loaded.case), None, problems)
+    except InputError:
+        return Checked(loaded, None, None, problems)
+
+
+def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ()) -> DrawnCase:
+    """Open what is drawn on: the case that is there, or one to start from, as ``ddic new`` writes it.
+
+    Raises InputError where the image or the case cannot be read, or the case is of another image.
+    """
+    if case_file.suffix != ".toml":
+        raise InputError(f"{case_file}: the name of a case file ends in .toml")
+    if not case_file.absolute().parent.is_dir():
+        raise InputError(f"{case_file}: its folder does not exist; create it")
+    source = hold_image(image)
+    pattern = find_pattern(source)
+    if not case_file.exists():
+        text = write_starter_case(case_file, image, deformed, pattern, choose_region(pattern, source))
+        return DrawnCase(case_file, text, True, ScreenImage(source), pattern, CaseRun(case_file))
+    if deformed:
+        raise InputError(f"--deformed: {case_file} is there already and names its images; leave it out")
+    text = read_text(case_file, "case file", "check the path")
+    loaded, _ = load_text_leniently(text, case_file)
+    if loaded is not None and loaded.case.images.reference != find_real_path(image.absolute()):
+        raise InputError(f"{image}: {case_file} has another reference image, {loaded.case.images.reference}; give that")
+    return DrawnCase(case_file, text, False, ScreenImage(source), pattern, CaseRun(case_file))
+
+
+class CaseFile:
+    """The file of a case as one tab knows it: it is not written over what somebody else wrote since.
+
+    Parameters
+    ----------
+    drawn : DrawnCase
+        As it was opened.
+    """
+
+    def __init__(self, drawn: DrawnCase) -> None:
+        self._path = drawn.path
+        self.text: str | None = None if drawn.is_new else drawn.text
+
+    def write(self, text: str) -> None:
+        """Write the file, whole or not at all; raises InputError where it is another one by now."""
+        there = read_text(self._path, "case file", "check the path") if self._path.exists() else None
+        if there != self.text:
+            raise InputError(f"{self._path}: was changed since this page was opened; open it anew")
+        with replaced_on_exit(self._path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        self.text = text
+
+
+def find_mask_outline(loaded: LoadedCase | None, image: ScreenImage) -> Array:
+    """Points of the outlines of the mesh's mask, (n, 2), pixels; none where it has none."""
+    section = None if loaded is None else loaded.case.mesh.structured
+    if section is None or section.mask is None:
+        return np.zeros((0, 2))
+    try:
+        mask = read_mask(section.mask, image.source.width, image.source.height)
+    except InputError:
+        return np.zeros((0, 2))
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    return np.vstack([contour[:, 0] for contour in contours]).astype(float) if contours else np.zeros((0, 2))

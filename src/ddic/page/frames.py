@@ -1,0 +1,143 @@
+"""The results that a page shows: their frames, fields by name, and what is read at a place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddic.arrays import BoolArray
+from ddic.io import result_schema as schema
+from ddic.io.result_reader import Result, read_result
+from ddic.io.series_reader import SeriesResult, is_series_file, read_series
+from ddic.mesh.mesh import Mesh
+from ddic.plots import canvas, maps
+from ddic.plots.kinds import NUMBERS
+from ddic.probes.probes import PointProbe
+from ddic.probes.tables import format_number, measure_probes
+
+
+@dataclass(frozen=True)
+class FieldChoice:
+    """A field that can be looked at.
+
+    Attributes
+    ----------
+    kind : str
+        Of the figure of ``ddic plot`` that shows it.
+    component, number : str
+        Of the displacement, and of the strain; empty where the kind has none.
+    """
+
+    kind: str
+    component: canvas.Component = "magnitude"
+    number: str | None = None
+
+    @property
+    def name(self) -> str:
+        """What the page calls it."""
+        part = self.number or ("" if self.kind == "residual" else self.component)
+        return f"{self.kind} {part}".strip()
+
+    def find_values(self, result: Result) -> maps.Values | None:
+        """Find its values in a result; None where that does not hold them."""
+        unit = canvas.find_length_unit(result)
+        ways: dict[str, Callable[[], maps.Values]] = {
+            "displacement": lambda: maps.list_displacement_panels(result, self.component, unit)[0],
+            "strain": lambda: maps.list_strain_panels(result, maps.StrainChoice(number=self.number))[0],
+            "sigma": lambda: maps.list_sigma_panels(result, self.component, self.number, unit)[0],
+            "bias": lambda: maps.list_bias_panels(result, self.component, unit)[0],
+            "residual": lambda: maps.list_residual_panels(result)[0],
+        }
+        needed = {"displacement": schema.DISPLACEMENT, "strain": schema.NODAL_INFINITESIMAL,
+                  "sigma": schema.SIGMA_DISPLACEMENT[0], "bias": schema.REGULARIZATION_BIAS}
+        held = result.cell_data if self.kind == "residual" else result.point_data
+        return ways[self.kind]() if needed.get(self.kind, schema.RESIDUAL_RMS) in held else None
+
+
+AXES: tuple[canvas.Component, ...] = ("magnitude", "x", "y")
+
+FIELDS = (
+    *(FieldChoice("displacement", component) for component in AXES),
+    *(FieldChoice("strain", number=number) for number in NUMBERS),
+    *(FieldChoice("sigma", component) for component in AXES[1:]),
+    *(FieldChoice("sigma", number=number) for number in maps.PANELS),
+    *(FieldChoice("bias", component) for component in AXES),
+    FieldChoice("residual"),
+)
+BY_NAME = {field.name: field for field in FIELDS}
+
+
+class Frames:
+    """The frames of a result file, one of a pair; the one that was asked for last is kept.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.series: SeriesResult | None = read_series(path) if is_series_file(path) else None
+        self._number = -1
+        self._result = self[0]
+
+    def __len__(self) -> int:
+        return 1 if self.series is None else len(self.series)
+
+    def __getitem__(self, number: int) -> Result:
+        """The frame of a number, from 0, or the last one where there are fewer."""
+        number = min(number, len(self) - 1)
+        if number != self._number:
+            self._result = read_result(self.path) if self.series is None else self.series[number]
+            self._number = number
+        return self._result
+
+    def read_all(self) -> Iterator[Result]:
+        """Read all frames, one after the other."""
+        return iter([self[0]]) if self.series is None else iter(self.series)
+
+    def list_fields(self) -> list[str]:
+        """List the fields that can be looked at."""
+        return [field.name for field in FIELDS if field.find_values(self[0]) is not None]
+
+    def describe_frame(self, number: int) -> str:
+        """Name the frame with its time, and say its verdict."""
+        result = self[number]
+        time = result.attributes.get(schema.TIME, {}).get("deformed", np.nan)
+        called = "" if self.series is None else f", frame {self.series.numbers[min(number, len(self) - 1)]}"
+        verdict = "" if result.verdict is None else f": {result.verdict.describe()}"
+        return f"{self.path.name}{called}, time {format_number(float(time))}{verdict}"
+
+
+def move_mesh(result: Result) -> Mesh:
+    """The mesh as it lies in the deformed image; cells that were not measured are where they were."""
+    moved = np.where(np.isfinite(result.displacement), result.displacement, 0.0)
+    return Mesh(result.mesh.nodes + moved, result.mesh.connectivity, result.mesh.offsets, result.mesh.types)
+
+
+def find_hatched(result: Result) -> tuple[BoolArray, BoolArray]:
+    """Tell which cells were excluded, and which are doubtful, (n_cells,) each."""
+    nothing = np.zeros(result.mesh.n_cells)
+    excluded = np.isin(result.cell_data.get(schema.EXCLUDED, nothing), schema.EXCLUDED_STATES)
+    return excluded, (result.cell_data.get(schema.DOUBTFUL, nothing) != 0) & ~excluded
+
+
+def describe_point(result: Result, x: float, y: float) -> str:
+    """Say in a line what a point probe reads, with standard deviations, in the digits of ``ddic probe``."""
+    record = measure_probes([result], [PointProbe("here", (x, y))])[0]
+    size, reading, known = record.unit.size, record.reading, record.metrology
+    u_x, u_y = (write_number(size * value, ".5g") for value in reading.displacement[0])
+    xx, yy, xy = (write_number(value, ".3e") for value in reading.strain[0])
+    note = "; ".join(filter(None, (reading.note, known.note)))
+    return (f"x = {x:.2f}, y = {y:.2f} px: u_x = {u_x}, u_y = {u_y} "
+            f"± {write_number(size * known.displacement_noise, '.2g')} {record.unit.name}; strain xx = {xx}, "
+            f"yy = {yy}, xy = {xy} ± {write_number(known.strain_noise, '.1e')}" + (f" ({note})" if note else ""))
+
+
+def write_number(value: float, how: str) -> str:
+    """Write a number in some digits; a dash where there is none."""
+    return "-" if np.isnan(value) else format(value, how)

@@ -1,0 +1,109 @@
+"""What is laid over an image: a mesh, a field in colour, hatching of cells that say nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from matplotlib import colormaps
+from numpy.typing import NDArray
+
+from ddic.arrays import Array, BoolArray
+from ddic.mesh.interpolation import Located, interpolate_located, locate
+from ddic.mesh.mesh import Mesh
+from ddic.mesh.topology import find_boundary_facets
+from ddic.page.windows import Raster
+
+Colour = tuple[int, int, int]
+Picture = NDArray[np.uint8]
+"""(height, width, 4): red, green, blue and opacity."""
+
+OPACITY = 0.7
+"""Of colours over the image, as in the figures of ``ddic plot``."""
+
+SMALLEST_CELL = 5.0
+"""Side of a cell on the screen, pixels, below which its edges are left out: they would hide the image."""
+
+HATCH, STROKE = 9, 3
+"""From one stroke of the hatching to the next, and its width, pixels of the screen."""
+
+SUBPIXEL_BITS = 4
+"""Of the places of lines: sixteenths of a pixel."""
+
+
+def start_picture(raster: Raster) -> Picture:
+    """Begin a picture by the image itself."""
+    return np.asarray(cv2.cvtColor(raster.grey, cv2.COLOR_GRAY2RGBA))
+
+
+def paint_edges(picture: Picture, raster: Raster, mesh: Mesh, colour: Colour) -> None:
+    """Paint the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone."""
+    corners = raster.place(mesh.nodes)
+    low, high = mesh.outlines.find_boxes()
+    x0, y0, x1, y1 = raster.box
+    in_sight = np.flatnonzero(((high >= (x0, y0)) & (low <= (x1, y1))).all(axis=1))
+    sides = float(np.median(high - low)) / raster.pitch[0]
+    if sides >= SMALLEST_CELL:
+        _paint_lines(picture, [corners[mesh.get_cell(cell)] for cell in in_sight], colour, closed=True)
+    else:
+        _paint_lines(picture, list(corners[find_boundary_facets(mesh)[:, :2]]), colour, closed=False)
+
+
+def _paint_lines(picture: Picture, lines: list[Array], colour: Colour, *, closed: bool) -> None:
+    places = [np.round(line * 2**SUBPIXEL_BITS).astype(np.int32) for line in lines]
+    cv2.polylines(picture, places, closed, (*colour, 255), 1, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Where the pixels of a raster lie in a mesh, so that many fields and frames are painted by one search.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        As it lies in the image.
+    located : Located
+        Of the pixels, row by row.
+    """
+
+    mesh: Mesh
+    located: Located
+
+    @classmethod
+    def find(cls, mesh: Mesh, raster: Raster) -> Overlay:
+        """Find the cell of each pixel."""
+        return cls(mesh, locate(mesh, raster.centres))
+
+    def sample(self, values: Array, *, by_cell: bool) -> Array:
+        """Sample values at nodes or on cells at the pixels, (n,); nan outside the mesh."""
+        if not by_cell:
+            return interpolate_located(self.mesh, values[:, None], self.located)[:, 0]
+        cells = self.located.cells
+        return np.where(cells >= 0, values[np.maximum(cells, 0)], np.nan)
+
+    def find_pixels(self, is_marked: BoolArray) -> BoolArray:
+        """Find the pixels of marked cells, (n,)."""
+        cells = self.located.cells
+        return np.asarray((cells >= 0) & is_marked[np.maximum(cells, 0)])
+
+
+def paint_field(picture: Picture, values: Array, limits: tuple[float, float], palette: str) -> None:
+    """Paint values of the pixels, (n,), over the image; where they are nan the image stays."""
+    low, high = limits
+    known = np.isfinite(values).reshape(picture.shape[:2])
+    share = np.clip((values[known.ravel()] - low) / (high - low), 0.0, 1.0)
+    colours = list_colours(palette)[np.round(255.0 * share).astype(int)]
+    picture[known, :3] = np.round(OPACITY * colours + (1.0 - OPACITY) * picture[known, :3])
+
+
+def list_colours(palette: str) -> NDArray[np.uint8]:
+    """List the colours of one of matplotlib's colour maps, (256, 3)."""
+    return np.asarray(colormaps[palette](np.arange(256) / 255.0, bytes=True)[:, :3])
+
+
+def hatch(picture: Picture, is_hatched: BoolArray, colour: Colour) -> None:
+    """Paint strokes over pixels, (n,)."""
+    rows, columns = np.indices(picture.shape[:2])
+    strokes = is_hatched.reshape(picture.shape[:2]) & ((rows + columns) % HATCH < STROKE)
+    picture[strokes, :3] = colour

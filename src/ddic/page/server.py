@@ -1,0 +1,108 @@
+"""Serves a page to the browser of one user on this machine: who may ask for it, and where it is found."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import webbrowser
+from collections.abc import Callable
+from concurrent.futures import Future
+from threading import Thread
+
+from bokeh.document import Document
+from bokeh.server.auth_provider import AuthProvider
+from bokeh.server.server import Server
+from tornado.web import HTTPError, RequestHandler
+
+from ddic.errors import InputError
+
+HERE = "127.0.0.1"
+NAME = "localhost"
+"""Of this machine, and of the near end of a tunnel, which has the same port."""
+
+COMPRESSION = 1
+"""Of what is sent, from 0 to 9: images shrink by half, and take no longer on a fast line."""
+
+MakePage = Callable[[Document], None]
+
+
+class TokenAuth(AuthProvider):  # type: ignore[misc]  # bokeh's, whose types are not read
+    """Lets those in who know the token of the address that was printed.
+
+    Other names of the host are refused, by which another site could reach this machine through the browser.
+
+    Parameters
+    ----------
+    token : str
+        Of the address.
+    """
+
+    def __init__(self, token: str) -> None:
+        self.token = token
+        super().__init__()
+
+    @property
+    def get_user(self) -> Callable[[RequestHandler], str]:
+        """How a request is judged."""
+        return self._judge
+
+    def _judge(self, handler: RequestHandler) -> str:
+        if handler.request.host_name != NAME:
+            raise HTTPError(403, reason="this page answers to localhost alone")
+        # The page's own connection repeats the address; no cookie is left behind that another page could use.
+        given = handler.get_query_argument("token", "")
+        if not secrets.compare_digest(given.encode(), self.token.encode()):
+            raise HTTPError(403, reason="open the address with its token, as the command printed it")
+        return "user"
+
+    @property
+    def login_url(self) -> str:
+        """Where bokeh sends those who are not known; nobody, as they are refused before."""
+        return "/"
+
+    # Other ways of bokeh to know a user.
+    get_user_async = get_login_url = login_handler = logout_url = logout_handler = None
+
+
+def start_server(make_page: MakePage, port: int = 0) -> tuple[Server, str]:
+    """Start to serve a page; return the server and the address, with its token, under which it is found.
+
+    Every tab has a document of its own. ``port`` 0 takes one that is free. Raises InputError where it is taken.
+    """
+    token = secrets.token_urlsafe()
+    try:
+        server = Server({"/": make_page}, port=port, address=HERE, auth_provider=TokenAuth(token),
+                        websocket_compression_level=COMPRESSION)
+    except OSError as error:
+        raise InputError(f"--port {port}: is taken, or not allowed ({error.strerror}); give another one, or leave it "
+                         "out") from error
+    server.start()
+    return server, f"http://localhost:{server.port}/?token={token}"
+
+
+def start_in_thread(make_page: MakePage) -> str:
+    """Serve a page beside what else this process does, until it ends; return its address."""
+    address: Future[str] = Future()
+
+    def serve() -> None:
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        server, found = start_server(make_page)
+        address.set_result(found)
+        server.io_loop.start()
+
+    Thread(target=serve, daemon=True).start()
+    return address.result()
+
+
+def serve_page(make_page: MakePage, port: int, announce: Callable[[str], None], *, opens_browser: bool) -> None:
+    """Serve a page until Ctrl-C; its address is announced, and opened in a browser where there is one."""
+    server, address = start_server(make_page, port)
+    announce(address)
+    if opens_browser:
+        webbrowser.open(address)
+    try:
+        server.io_loop.start()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()

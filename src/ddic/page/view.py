@@ -1,0 +1,397 @@
+"""The page of ``ddic view``: fields over their images, values under the pointer, profiles and curves, exports."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from functools import partial
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import (
+    Button,
+    CheckboxGroup,
+    ColorBar,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    LayoutDOM,
+    LinearColorMapper,
+    NumericInput,
+    Select,
+    Slider,
+)
+from bokeh.plotting import figure
+
+from ddic.errors import InputError
+from ddic.io import result_schema as schema
+from ddic.io.result_reader import Result
+from ddic.mesh.mesh import Mesh
+from ddic.page.clicks import ClickDrawer
+from ddic.page.frames import BY_NAME, FieldChoice, Frames, describe_point, find_hatched, move_mesh
+from ddic.page.layers import Overlay, Picture, hatch, list_colours, paint_field
+from ddic.page.pane import ImagePane
+from ddic.page.probe_box import FORMS, ProbeBox
+from ddic.page.readings import ProbeReadings
+from ddic.page.shapes import Point
+from ddic.page.windows import Raster, ScreenImage
+from ddic.plots import canvas, figures, maps
+from ddic.probes.probes import Probe
+from ddic.probes.tables import write_probe_table
+
+NOTHING, DIFFERENCE = "(nothing)", "difference"
+MOVED, HATCHED = "over the deformed image", "hatch excluded and doubtful cells"
+PALETTES = ("viridis", "cividis", "magma", "turbo", "RdBu_r", "gray")
+FORMATS = ("png", "svg", "pdf")
+
+EXCLUDED_COLOUR, DOUBTFUL_COLOUR = (0, 0, 0), (255, 255, 255)
+"""Of the hatching."""
+
+SIDE_OF_TWO = 560
+"""Of two images side by side, pixels of the screen."""
+
+DOWNLOAD = """
+if (!source.data.name.length) return;
+const bytes = Uint8Array.from(atob(source.data.base64[0]), (letter) => letter.charCodeAt(0));
+const link = document.createElement("a");
+link.href = URL.createObjectURL(new Blob([bytes]));
+link.download = source.data.name[0];
+link.click();
+"""
+
+
+class FieldPane:
+    """One result, or the difference of two, in colour over an image.
+
+    Parameters
+    ----------
+    page : ViewPage
+        Whose field, frame and colours it shows.
+    image : ScreenImage
+        Beneath.
+    side : int
+        The longer one, pixels of the screen.
+    name : str
+        Of the figure in the browser's document.
+    """
+
+    def __init__(self, page: ViewPage, image: ScreenImage, side: int, name: str) -> None:
+        self._page = page
+        self.frames: Frames | None = None
+        self.subtracted: Frames | None = None
+        self._overlays: dict[Path, tuple[Mesh, Raster, Overlay]] = {}
+        self.limits = (0.0, 1.0)
+        self.pane = ImagePane(image, [self._paint], side, name)
+        self._colours = LinearColorMapper(palette=["#000000"], low=0.0, high=1.0)
+        self._bar = ColorBar(color_mapper=self._colours, title="", width=12)
+        self.pane.figure.add_layout(self._bar, "right")
+        self.pane.follow_pointer(page.point_at)
+
+    def _find_overlay(self, frames: Frames, result: Result, raster: Raster) -> Overlay:
+        """Where the screen's pixels lie in a mesh; the search is kept as long as neither changes."""
+        moved = self._page.is_moved
+        mesh = move_mesh(result) if moved else result.mesh
+        kept = self._overlays.get(frames.path)
+        if kept is not None and kept[1] is raster and _is_same(kept[0], mesh):
+            return kept[2]
+        overlay = Overlay.find(mesh, raster)
+        self._overlays[frames.path] = (mesh, raster, overlay)
+        return overlay
+
+    def _paint(self, picture: Picture, raster: Raster) -> None:
+        page = self._page
+        if self.frames is None:
+            return
+        result = self.frames[page.number]
+        values = page.field.find_values(result)
+        if values is None:
+            return
+        overlay = self._find_overlay(self.frames, result, raster)
+        sampled = overlay.sample(values.values, by_cell=values.by_cell)
+        scaled = values.values
+        title = values.label
+        if self.subtracted is not None:
+            other = self.subtracted[page.number]
+            less = page.field.find_values(other)
+            if less is None:
+                return
+            sampled = sampled - self._find_overlay(self.subtracted, other, raster).sample(less.values,
+                                                                                          by_cell=less.by_cell)
+            scaled, title = sampled, f"difference of {title}"
+        self.limits = page.scale.find_limits(scaled)
+        paint_field(picture, sampled, self.limits, page.palette)
+        if page.hatches:
+            excluded, doubtful = find_hatched(result)
+            hatch(picture, overlay.find_pixels(excluded), EXCLUDED_COLOUR)
+            hatch(picture, overlay.find_pixels(doubtful), DOUBTFUL_COLOUR)
+        self._colours.update(palette=["#{:02x}{:02x}{:02x}".format(*colour) for colour in list_colours(page.palette)],
+                             low=self.limits[0], high=self.limits[1])
+        self._bar.title = _write_plainly(title)
+
+    def show(self, frames: Frames | None, subtracted: Frames | None = None) -> None:
+        """Show another result, or one less another."""
+        self.frames, self.subtracted = frames, subtracted
+        self.pane.figure.visible = frames is not None
+        self.pane.paint()
+
+
+def _is_same(one: Mesh, other: Mesh) -> bool:
+    return one is other or (np.array_equal(one.nodes, other.nodes) and np.array_equal(one.types, other.types)
+                            and np.array_equal(one.connectivity, other.connectivity))
+
+
+def _write_plainly(label: str) -> str:
+    """A label of matplotlib without its TeX, which the browser does not set."""
+    for tex, plain in ((r"\varepsilon", "ε"), (r"\sigma", "σ"), (r"\Vert", "|"), (r"\|", "|"), ("$", ""), ("{", ""),
+                       ("}", ""), ("\\", "")):
+        label = label.replace(tex, plain)
+    return label
+
+
+class ViewPage:
+    """One tab of ``ddic view``.
+
+    Parameters
+    ----------
+    results : sequence of Frames
+        Of images of one size.
+    probes : list of Probe
+        To begin with.
+    document : Document
+        The tab.
+    """
+
+    def __init__(self, results: Sequence[Frames], probes: list[Probe], document: Document) -> None:
+        self._results = {_name(frames, results): frames for frames in results}
+        self._names = list(self._results)
+        first = results[0]
+        self._images: dict[Path, ScreenImage] = {}
+        self.number = 0
+        self._make_controls(first, probes, document)
+        side = SIDE_OF_TWO if len(results) > 1 else 700
+        self._background = self._find_background()
+        self._left = FieldPane(self, self._background, side, "field")
+        self._panes = [self._left]
+        if len(results) > 1:
+            right = FieldPane(self, self._background, side, "beside")
+            right.pane.share_view(self._left.pane)
+            self._panes.append(right)
+        for shown in self._panes:
+            self.probes.show_on(shown.pane)
+        self.drawer = ClickDrawer(self._left.pane, FORMS, self._take)
+        self._choose_results()
+
+    def _make_controls(self, first: Frames, probes: list[Probe], document: Document) -> None:
+        names = self._names
+        self.left = Select(title="Result", options=names, value=names[0], width=260)
+        self.right = Select(title="Beside it", options=[NOTHING, *names, DIFFERENCE], width=260,
+                            value=names[1] if len(names) > 1 else NOTHING, visible=len(names) > 1)
+        fields = first.list_fields()
+        self.choice = Select(title="Field", options=fields, value=fields[0])
+        self.colours = Select(title="Colours", options=list(PALETTES), value=PALETTES[0], width=110)
+        self.low = NumericInput(title="from (empty: percentile)", mode="float", width=150)
+        self.high = NumericInput(title="to", mode="float", width=110)
+        self.low_share = NumericInput(title="percentiles", mode="float", value=canvas.PERCENTILES[0], width=80)
+        self.high_share = NumericInput(title=" ", mode="float", value=canvas.PERCENTILES[1], width=80)
+        self.shown = CheckboxGroup(labels=[MOVED, HATCHED], active=[1])
+        n_frames = max(len(frames) for frames in self._results.values())
+        self.slider = Slider(title="Frame", start=1, end=max(n_frames, 2), value=1, step=1, width=430,
+                             visible=n_frames > 1)
+        self.told = Div(width=900)
+        self.values = Div(width=900, styles={"font-family": "monospace"})
+        self.probes = ProbeBox(probes, self._tell_of_probes)
+        self.readings = ProbeReadings(document)
+        self.convergence = figure(width=380, height=260, y_axis_type="log", toolbar_location=None,
+                                  x_axis_label="iteration of Gauss-Newton", y_axis_label="correction [px]")
+        self._steps = ColumnDataSource({"x": [], "y": []})
+        self.convergence.line("x", "y", source=self._steps)
+        self.convergence.scatter("x", "y", source=self._steps)
+        self._file = ColumnDataSource({"name": [], "base64": []})
+        self._file.js_on_change("data", CustomJS(args={"source": self._file}, code=DOWNLOAD))
+        self.exports = [Button(label=ending.upper(), width=60) for ending in FORMATS]
+        for button, ending in zip(self.exports, FORMATS, strict=True):
+            button.on_click(partial(self._export_figure, ending))
+        self.table = Button(label="CSV of the probes", width=140)
+        self.table.on_click(self._export_table)
+        for control in (self.left, self.right):
+            control.on_change("value", lambda attribute, old, new: self._choose_results())
+        for control in (self.choice, self.colours, self.low, self.high, self.low_share, self.high_share):
+            control.on_change("value", lambda attribute, old, new: self._paint())
+        self.shown.on_change("active", lambda attribute, old, new: self._change_image())
+        self.slider.on_change("value", lambda attribute, old, new: self._change_frame(new))
+
+    @property
+    def layout(self) -> LayoutDOM:
+        """What the tab shows."""
+        right = column(
+            row(self.left, self.right), row(self.choice, self.colours),
+            row(self.low, self.high, self.low_share, self.high_share), self.shown, self.slider,
+            row(self.drawer.choice, self.readings.quantity), self.drawer.hint, self.probes.text,
+            row(*self.exports, self.table))
+        panes = row(*(shown.pane.figure for shown in self._panes))
+        below = row(self.readings.profile, self.readings.curves, self.convergence)
+        return column(self.told, row(column(panes, self.values, self.readings.table, below), right))
+
+    # What the controls say.
+
+    @property
+    def field(self) -> FieldChoice:
+        """The field that is looked at."""
+        return BY_NAME[self.choice.value]
+
+    @property
+    def palette(self) -> str:
+        """Name of its colours."""
+        return str(self.colours.value)
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether it lies over the deformed image."""
+        return 0 in self.shown.active
+
+    @property
+    def hatches(self) -> bool:
+        """Whether cells that say little are hatched."""
+        return 1 in self.shown.active
+
+    @property
+    def scale(self) -> canvas.ColourScale:
+        """Where its colours begin and end: where both limits are given there, else at percentiles."""
+        low, high = self.low.value, self.high.value
+        limits = (low, high) if low is not None and high is not None and low < high else None
+        shares = self.low_share.value, self.high_share.value
+        is_interval = None not in shares and 0.0 <= shares[0] < shares[1] <= 100.0
+        return canvas.ColourScale(limits, shares if is_interval else canvas.PERCENTILES, self.palette)
+
+    # What changes.
+
+    def _choose_results(self) -> None:
+        left = self._results[self.left.value]
+        self._left.show(left)
+        if len(self._panes) > 1:
+            asked = self.right.value
+            if asked == DIFFERENCE:
+                # From the first of the others.
+                other = next(frames for frames in self._results.values() if frames is not left)
+                self._panes[1].show(left, other)
+            else:
+                self._panes[1].show(self._results.get(asked))
+        self._tell()
+
+    def _change_frame(self, number: int) -> None:
+        self.number = number - 1
+        if self.is_moved:
+            self._change_image()
+        else:
+            self._paint()
+        self._tell()
+
+    def _change_image(self) -> None:
+        """Another background, where it is there and of the same size."""
+        background = self._find_background()
+        if background is not self._background:
+            self._background = background
+            for shown in self._panes:
+                shown.pane.show_image(background)
+        else:
+            self._paint()
+
+    def _find_background(self) -> ScreenImage:
+        """The image that the field lies over; a grey one where that is no longer there."""
+        result = self._results[self.left.value][self.number]
+        path = figures.find_image(result, "deformed" if self.is_moved else "reference") or Path()
+        if path not in self._images:
+            width, height = (int(side) + 1 for side in result.mesh.nodes.max(axis=0))
+            self._images[path] = ScreenImage.make_blank(width, height) if path == Path() else ScreenImage.open(path)
+        return self._images[path]
+
+    def _paint(self) -> None:
+        for shown in self._panes:
+            shown.pane.paint()
+
+    def _tell(self) -> None:
+        """Name what is shown, with its verdict; its convergence and what the probes read."""
+        frames = self._results[self.left.value]
+        self.told.text = f"<b>{escape(frames.describe_frame(self.number))}</b>"
+        self._read_probes()
+        corrections = frames[self.number].gauss_newton.get("rms_correction_px", np.zeros(0))
+        self._steps.data = {"x": np.arange(1, len(corrections) + 1), "y": corrections}
+
+    def point_at(self, x: float, y: float) -> None:
+        """Say what is measured under the pointer."""
+        frames = self._results[self.left.value]
+        self.values.text = escape(describe_point(frames[self.number], x, y))
+
+    def _take(self, name: str, points: list[Point]) -> None:
+        try:
+            self.probes.add(name, points)
+        except InputError as error:
+            self._tell_of_probes(list(error.problems))
+
+    def _tell_of_probes(self, problems: list[str]) -> None:
+        if problems:
+            self.values.text = escape("; ".join(problems))
+        else:
+            self._read_probes()
+
+    def _read_probes(self) -> None:
+        self.readings.ask(self._results[self.left.value], self.probes.probes, self.number)
+
+    # What leaves the page.
+
+    def _export_figure(self, ending: str) -> None:
+        """The field as ``ddic plot`` draws it, with the limits and colours of the page."""
+        frames = self._results[self.left.value]
+        result, field = frames[self.number], self.field
+        path = figures.find_image(result)
+        preview = None if path is None else maps.read_preview(self._images[path].source)
+        look = figures.Look(field.component, maps.StrainChoice(number=field.number),
+                            unit=canvas.find_length_unit(result), scale=self.scale)
+        drawn = figures.draw(field.kind, figures.Drawing(result, None, look, preview))
+        stream = BytesIO()
+        drawn.savefig(stream, format=ending, dpi=canvas.DPI)
+        of_frame = "" if frames.series is None else f".frame_{frames.series.numbers[self.number]}"
+        self._send(f"{frames.path.stem}{of_frame}.{field.name.replace(' ', '_')}.{ending}", stream.getvalue())
+
+    def _export_table(self) -> None:
+        with TemporaryDirectory() as folder:
+            table = Path(folder) / "probes.csv"
+            frames = self._results[self.left.value]
+            write_probe_table(table, self.readings.gather(frames, self.probes.probes))
+            self._send(f"{frames.path.stem}.probes.csv", table.read_bytes())
+
+    def _send(self, name: str, content: bytes) -> None:
+        """Have the browser save a file."""
+        self._file.data = {"name": [name], "base64": [b64encode(content).decode("ascii")]}
+
+
+def _name(frames: Frames, among: Sequence[Frames]) -> str:
+    """A result's file, with its folder where several have the same name."""
+    is_alone = [other.path.name for other in among].count(frames.path.name) == 1
+    return frames.path.name if is_alone else str(frames.path)
+
+
+def open_results(paths: Sequence[Path]) -> list[Frames]:
+    """Open results to be looked at; raises InputError where one cannot be read, or their images differ in size."""
+    opened = [Frames(path) for path in paths]
+    sizes = {str(frames[0].attributes.get(schema.PROVENANCE, {}).get("reference_size")) for frames in opened}
+    if len(sizes) > 1:
+        raise InputError(f"{paths[0]}, ...: of images of {' and '.join(sorted(sizes))} px, which cannot be looked at "
+                         "side by side; give results of one size")
+    return opened
+
+
+def show_results(paths: Sequence[Path], probes: list[Probe], document: Document) -> LayoutDOM:
+    """Lay out a view of results; raises InputError as ``open_results`` does."""
+    return ViewPage(open_results(paths), probes, document).layout
+
+
+def make_view_page(paths: Sequence[Path], probes: list[Probe], document: Document) -> None:
+    """Fill a tab of the browser with the page of ``ddic view``."""
+    document.title = f"ddic view {paths[0].name}"
+    document.add_root(show_results(paths, probes, document))

@@ -1,0 +1,143 @@
+"""An image as a screen shows it: a window of it, at the resolution of the screen; the whole of it is never sent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.arrays import Array
+from ddic.images.binned import ArraySource
+from ddic.images.source import ImageSource
+from ddic.images.window import Window
+from ddic.io.image_file import hold_image
+
+OVERVIEW = 1 << 22
+"""Most pixels of the reduced image that is kept; a larger one takes memory, a smaller one reads the file more often."""
+
+BAND = 1 << 24
+"""Pixels that are read at a time."""
+
+CONTRAST = (0.5, 99.5)
+"""Percentiles of the grey levels that are black and white."""
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """A picture of a part of the image plane.
+
+    Attributes
+    ----------
+    grey : (height, width) uint8 array
+        From black to white.
+    box : (x0, y0, x1, y1)
+        Of its outer edges, pixels of the image; half a pixel beyond the centres of the outermost ones.
+    """
+
+    grey: NDArray[np.uint8]
+    box: Box
+
+    @property
+    def pitch(self) -> tuple[float, float]:
+        """Pixels of the image along the sides of one of the raster."""
+        x0, y0, x1, y1 = self.box
+        height, width = self.grey.shape
+        return (x1 - x0) / width, (y1 - y0) / height
+
+    @cached_property
+    def centres(self) -> Array:
+        """Places of its pixels row by row, (n, 2), pixels of the image."""
+        x0, y0, _, _ = self.box
+        height, width = self.grey.shape
+        along_x, along_y = self.pitch
+        x, y = np.meshgrid(x0 + along_x * (np.arange(width) + 0.5), y0 + along_y * (np.arange(height) + 0.5))
+        return np.column_stack([x.ravel(), y.ravel()])
+
+    def place(self, points: Array) -> Array:
+        """Place points, (n, 2), pixels of the image, in the raster, counted from the centre of its first pixel."""
+        return np.asarray((points - self.box[:2]) / self.pitch - 0.5)
+
+
+class ScreenImage:
+    """An image that is looked at through windows of a screen's size; reduced by whole factors, kept or read anew.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image.
+    """
+
+    def __init__(self, source: ImageSource) -> None:
+        self.source = source
+        n_pixels = self.source.width * self.source.height
+        self._factor = 2 ** max(math.ceil(math.log2(n_pixels / OVERVIEW) / 2.0), 0)
+        self._overview = self._reduce(self.source.extent, self._factor)
+        low, high = np.nanpercentile(self._overview, CONTRAST)
+        # One grey all over lies in the middle.
+        self._black, self._white = (float(low), float(high)) if low < high else (float(low) - 1.0, float(low) + 1.0)
+
+    @classmethod
+    def open(cls, path: Path) -> ScreenImage:
+        """Open the file of an image; raises InputError where it is none."""
+        return cls(hold_image(path))
+
+    @classmethod
+    def make_blank(cls, width: int, height: int) -> ScreenImage:
+        """Make a grey image, in the place of one that is no longer there."""
+        # One row that stands for all.
+        grey = np.broadcast_to(np.full(width, 128, np.uint8), (height, width))
+        return cls(ArraySource(Path(), grey))
+
+    def read(self, box: Box, width: int, height: int) -> Raster:
+        """Read what of a box, pixels, lies in the image as a raster of about a screen's width and height.
+
+        Of a box beside the image it is a raster of one pixel of it.
+        """
+        pitch = max((box[2] - box[0]) / width, (box[3] - box[1]) / height, 1e-3)
+        factor = min(2 ** max(round(math.log2(pitch)), 0), self._factor)
+        window = self._find_window(box, factor)
+        grey = self._take(window, factor)
+        if pitch < 1.0:
+            # Pixels are seen: what is laid over them wants the screen's resolution.
+            copies = round(1.0 / pitch)
+            grey = grey.repeat(copies, axis=0).repeat(copies, axis=1)
+        return Raster(grey, (window.x0 - 0.5, window.y0 - 0.5, window.x1 - 0.5, window.y1 - 0.5))
+
+    def _find_window(self, box: Box, factor: int) -> Window:
+        """The smallest window of whole blocks about a box, within the image."""
+        sides = []
+        for low, high, size in ((box[0], box[2], self.source.width), (box[1], box[3], self.source.height)):
+            n_blocks = size // factor
+            begin = int(np.clip(math.floor((low + 0.5) / factor), 0, n_blocks - 1))
+            end = int(np.clip(math.ceil((high + 0.5) / factor), begin + 1, n_blocks))
+            sides.append((begin * factor, end * factor))
+        (x0, x1), (y0, y1) = sides
+        return Window((x0, y0), (x1, y1))
+
+    def _take(self, window: Window, factor: int) -> NDArray[np.uint8]:
+        if factor == self._factor:
+            reduced = self._overview[window.y0 // factor:window.y1 // factor, window.x0 // factor:window.x1 // factor]
+        else:
+            reduced = self._reduce(window, factor)
+        share = (reduced - self._black) / (self._white - self._black)
+        return np.asarray(255.0 * np.clip(np.nan_to_num(share), 0.0, 1.0), np.uint8)
+
+    def _reduce(self, window: Window, factor: int) -> NDArray[np.float32]:
+        """Means over blocks, read a band at a time; pixels that fill no block are left out."""
+        n_rows, n_columns = max(window.height // factor, 1), max(window.width // factor, 1)
+        reduced = np.empty((n_rows, n_columns), np.float32)
+        rows_a_band = max(BAND // (window.width * factor), 1)
+        for first in range(0, n_rows, rows_a_band):
+            last = min(first + rows_a_band, n_rows)
+            band = window.take_rows(window.y0 + first * factor, min(window.y0 + last * factor, window.y1))
+            pixels = self.source.read(band)[:, :n_columns * factor]
+            values = pixels if pixels.dtype in (np.uint8, np.uint16) else pixels.astype(np.float32)
+            reduced[first:last] = cv2.resize(values, (n_columns, last - first), interpolation=cv2.INTER_AREA)
+        return reduced
