@@ -61,7 +61,7 @@ _PUBLIC = {
     "kinematics.nodal": ("NodalRegion",),
     "mesh.mesh": ("Mesh",),
     "mesh.structured": ("structured_mesh",),
-    "page.notebook": ("draw", "view_results"),
+    "page": ("draw", "view_results"),
     "probes.metrology": ("Metrology", "estimate_metrology"),
     "probes.probes": ("Extensometer", "LineProbe", "PointProbe", "Reading", "StrainGauge", "load_probes",
                       "measure_probe"),
@@ -73,7 +73,8 @@ _PUBLIC = {
 
 _HOMES = {name: home for home, names in _PUBLIC.items() for name in names}
 
-_NAMED_THERE = {"open": "read_result", "open_series": "read_series", "structured_mesh": "build_structured_mesh"}
+_NAMED_THERE = {"draw": "draw_case", "open": "read_result", "open_series": "read_series",
+                "structured_mesh": "build_structured_mesh"}
 """What names are called at home, where they differ."""
 
 __all__ = [

@@ -180,7 +180,7 @@ class Result:
         InputError
             Where ``ddic[page]`` is not installed, or the result is in no file.
         """
-        return import_module("ddic.page.notebook").view_results(self.path)
+        return import_module("ddic.page").view_results(self.path)
 
     def to_meshio(self) -> Any:
         """Make a meshio mesh with all fields, whose ``write`` knows some forty formats.

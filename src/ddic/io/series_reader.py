@@ -78,7 +78,7 @@ class SeriesResult:
         InputError
             Where ``ddic[page]`` is not installed.
         """
-        return import_module("ddic.page.notebook").view_results(self.path)
+        return import_module("ddic.page").view_results(self.path)
 
     def _read(self, step: int) -> Result:
         number = self.numbers[step]

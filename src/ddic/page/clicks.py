@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from bokeh.events import DoubleTap, Tap
 from bokeh.models import Button, ColumnDataSource, Div, Select
 
-from ddic.page.pane import ImagePane
-from ddic.page.shapes import Point
+from ddic.page.case_text import Point
+from ddic.page.image_pane import ImagePane
 
 NOTHING = "(move and zoom)"
 

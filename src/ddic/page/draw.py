@@ -28,22 +28,32 @@ from tomlkit.exceptions import TOMLKitError
 from ddic.case.loader import load_text_leniently
 from ddic.errors import InputError
 from ddic.page.case_run import RunBox
-from ddic.page.case_text import count_values, put_shape, remove_shape, set_number
+from ddic.page.case_text import (
+    BY_NAME,
+    CLICKS,
+    FEWEST,
+    MESH,
+    Point,
+    Shape,
+    count_values,
+    list_shapes,
+    put_shape,
+    remove_shape,
+    set_number,
+)
 from ddic.page.clicks import ClickDrawer
 from ddic.page.drawn_case import CaseFile, Checked, DrawnCase, check_text, find_mask_outline
-from ddic.page.layers import Overlay, Picture, paint_edges, paint_field
-from ddic.page.pane import ImagePane
+from ddic.page.image_pane import ImagePane, Picture, ScreenRaster
+from ddic.page.layers import Overlay, paint_edges, paint_field
 from ddic.page.probe_box import FORMS, ProbeBox
-from ddic.page.shapes import BY_NAME, CLICKS, FEWEST, MESH, Point, Shape, list_shapes
 from ddic.page.view import show_results
-from ddic.page.windows import Raster
 
 EDGES, TEXTURE, WEAK = "mesh", "texture by element", "nodes of weak texture"
 
 STRENGTHS = (-2.0, 1.0)
 """Decimal logarithms of the texture that colours show, where 0 is that of most of the pattern."""
 
-class DrawPage:
+class _DrawPage:
     """One tab of ``ddic draw``.
 
     Parameters
@@ -238,7 +248,7 @@ class DrawPage:
     def _get_shown(self) -> list[str]:
         return [self.shown.labels[number] for number in self.shown.active]
 
-    def _paint(self, picture: Picture, raster: Raster) -> None:
+    def _paint(self, picture: Picture, raster: ScreenRaster) -> None:
         mesh = self._checked.mesh
         if mesh is None or not mesh.n_cells:
             return
@@ -313,6 +323,6 @@ def _read_points(typed: str, fewest: int) -> tuple[Point, ...]:
 
 def make_draw_page(drawn: DrawnCase, document: Document) -> None:
     """Fill a tab of the browser with the page of ``ddic draw``."""
-    page = DrawPage(drawn, document)
+    page = _DrawPage(drawn, document)
     document.title = f"ddic draw {drawn.path.name}"
     document.add_root(page.layout)

@@ -22,7 +22,7 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.text_files import read_text
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_run import CaseRun
-from ddic.page.windows import ScreenImage
+from ddic.page.image_pane import ScreenImage
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,7 +113,7 @@ class Frames:
         return f"{self.path.name}{called}, time {format_number(float(time))}{verdict}"
 
 
-def move_mesh(result: Result) -> Mesh:
+def displace_mesh(result: Result) -> Mesh:
     """The mesh as it lies in the deformed image; cells that were not measured are where they were."""
     moved = np.where(np.isfinite(result.displacement), result.displacement, 0.0)
     return Mesh(result.mesh.nodes + moved, result.mesh.connectivity, result.mesh.offsets, result.mesh.types)
@@ -130,14 +130,14 @@ def describe_point(result: Result, x: float, y: float) -> str:
     """Say in a line what a point probe reads, with standard deviations, in the digits of ``ddic probe``."""
     record = measure_probes([result], [PointProbe("here", (x, y))])[0]
     size, reading, known = record.unit.size, record.reading, record.metrology
-    u_x, u_y = (write_number(size * value, ".5g") for value in reading.displacement[0])
-    xx, yy, xy = (write_number(value, ".3e") for value in reading.strain[0])
+    u_x, u_y = (format_digits(size * value, ".5g") for value in reading.displacement[0])
+    xx, yy, xy = (format_digits(value, ".3e") for value in reading.strain[0])
     note = "; ".join(filter(None, (reading.note, known.note)))
     return (f"x = {x:.2f}, y = {y:.2f} px: u_x = {u_x}, u_y = {u_y} "
-            f"± {write_number(size * known.displacement_noise, '.2g')} {record.unit.name}; strain xx = {xx}, "
-            f"yy = {yy}, xy = {xy} ± {write_number(known.strain_noise, '.1e')}" + (f" ({note})" if note else ""))
+            f"± {format_digits(size * known.displacement_noise, '.2g')} {record.unit.name}; strain xx = {xx}, "
+            f"yy = {yy}, xy = {xy} ± {format_digits(known.strain_noise, '.1e')}" + (f" ({note})" if note else ""))
 
 
-def write_number(value: float, how: str) -> str:
+def format_digits(value: float, how: str) -> str:
     """Write a number in some digits; a dash where there is none."""
     return "-" if np.isnan(value) else format(value, how)

@@ -13,11 +13,9 @@ from ddic.arrays import Array, BoolArray
 from ddic.mesh.interpolation import Located, interpolate_located, locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
-from ddic.page.windows import Raster
+from ddic.page.image_pane import Picture, ScreenRaster
 
 Colour = tuple[int, int, int]
-Picture = NDArray[np.uint8]
-"""(height, width, 4): red, green, blue and opacity."""
 
 OPACITY = 0.7
 """Of colours over the image, as in the figures of ``ddic plot``."""
@@ -32,12 +30,7 @@ SUBPIXEL_BITS = 4
 """Of the places of lines: sixteenths of a pixel."""
 
 
-def start_picture(raster: Raster) -> Picture:
-    """Begin a picture by the image itself."""
-    return np.asarray(cv2.cvtColor(raster.grey, cv2.COLOR_GRAY2RGBA))
-
-
-def paint_edges(picture: Picture, raster: Raster, mesh: Mesh, colour: Colour) -> None:
+def paint_edges(picture: Picture, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> None:
     """Paint the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone."""
     corners = raster.place(mesh.nodes)
     low, high = mesh.outlines.find_boxes()
@@ -71,7 +64,7 @@ class Overlay:
     located: Located
 
     @classmethod
-    def find(cls, mesh: Mesh, raster: Raster) -> Overlay:
+    def find(cls, mesh: Mesh, raster: ScreenRaster) -> Overlay:
         """Find the cell of each pixel."""
         return cls(mesh, locate(mesh, raster.centres))
 

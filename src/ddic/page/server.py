@@ -26,7 +26,7 @@ COMPRESSION = 1
 MakePage = Callable[[Document], None]
 
 
-class TokenAuth(AuthProvider):  # type: ignore[misc]  # bokeh's, whose types are not read
+class _TokenAuth(AuthProvider):  # type: ignore[misc]  # bokeh's, whose types are not read
     """Lets those in who know the token of the address that was printed.
 
     Other names of the host are refused, by which another site could reach this machine through the browser.
@@ -71,7 +71,7 @@ def start_server(make_page: MakePage, port: int = 0) -> tuple[Server, str]:
     """
     token = secrets.token_urlsafe()
     try:
-        server = Server({"/": make_page}, port=port, address=HERE, auth_provider=TokenAuth(token),
+        server = Server({"/": make_page}, port=port, address=HERE, auth_provider=_TokenAuth(token),
                         websocket_compression_level=COMPRESSION)
     except OSError as error:
         raise InputError(f"--port {port}: is taken, or not allowed ({error.strerror}); give another one, or leave it "

@@ -32,14 +32,12 @@ from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
+from ddic.page.case_text import Point
 from ddic.page.clicks import ClickDrawer
-from ddic.page.frames import BY_NAME, FieldChoice, Frames, describe_point, find_hatched, move_mesh
-from ddic.page.layers import Overlay, Picture, hatch, list_colours, paint_field
-from ddic.page.pane import ImagePane
-from ddic.page.probe_box import FORMS, ProbeBox
-from ddic.page.readings import ProbeReadings
-from ddic.page.shapes import Point
-from ddic.page.windows import Raster, ScreenImage
+from ddic.page.frames import BY_NAME, FieldChoice, Frames, describe_point, displace_mesh, find_hatched
+from ddic.page.image_pane import ImagePane, Picture, ScreenImage, ScreenRaster
+from ddic.page.layers import Overlay, hatch, list_colours, paint_field
+from ddic.page.probe_box import FORMS, ProbeBox, ProbeReadings
 from ddic.plots import canvas, figures, maps
 from ddic.probes.probes import Probe
 from ddic.probes.tables import write_probe_table
@@ -65,12 +63,12 @@ link.click();
 """
 
 
-class FieldPane:
+class _FieldPane:
     """One result, or the difference of two, in colour over an image.
 
     Parameters
     ----------
-    page : ViewPage
+    page : _ViewPage
         Whose field, frame and colours it shows.
     image : ScreenImage
         Beneath.
@@ -80,11 +78,11 @@ class FieldPane:
         Of the figure in the browser's document.
     """
 
-    def __init__(self, page: ViewPage, image: ScreenImage, side: int, name: str) -> None:
+    def __init__(self, page: _ViewPage, image: ScreenImage, side: int, name: str) -> None:
         self._page = page
         self.frames: Frames | None = None
         self.subtracted: Frames | None = None
-        self._overlays: dict[Path, tuple[Mesh, Raster, Overlay]] = {}
+        self._overlays: dict[Path, tuple[Mesh, ScreenRaster, Overlay]] = {}
         self.limits = (0.0, 1.0)
         self.pane = ImagePane(image, [self._paint], side, name)
         self._colours = LinearColorMapper(palette=["#000000"], low=0.0, high=1.0)
@@ -92,10 +90,10 @@ class FieldPane:
         self.pane.figure.add_layout(self._bar, "right")
         self.pane.follow_pointer(page.point_at)
 
-    def _find_overlay(self, frames: Frames, result: Result, raster: Raster) -> Overlay:
+    def _find_overlay(self, frames: Frames, result: Result, raster: ScreenRaster) -> Overlay:
         """Where the screen's pixels lie in a mesh; the search is kept as long as neither changes."""
         moved = self._page.is_moved
-        mesh = move_mesh(result) if moved else result.mesh
+        mesh = displace_mesh(result) if moved else result.mesh
         kept = self._overlays.get(frames.path)
         if kept is not None and kept[1] is raster and _is_same(kept[0], mesh):
             return kept[2]
@@ -103,7 +101,7 @@ class FieldPane:
         self._overlays[frames.path] = (mesh, raster, overlay)
         return overlay
 
-    def _paint(self, picture: Picture, raster: Raster) -> None:
+    def _paint(self, picture: Picture, raster: ScreenRaster) -> None:
         page = self._page
         if self.frames is None:
             return
@@ -153,7 +151,7 @@ def _write_plainly(label: str) -> str:
     return label
 
 
-class ViewPage:
+class _ViewPage:
     """One tab of ``ddic view``.
 
     Parameters
@@ -175,10 +173,10 @@ class ViewPage:
         self._make_controls(first, probes, document)
         side = SIDE_OF_TWO if len(results) > 1 else 700
         self._background = self._find_background()
-        self._left = FieldPane(self, self._background, side, "field")
+        self._left = _FieldPane(self, self._background, side, "field")
         self._panes = [self._left]
         if len(results) > 1:
-            right = FieldPane(self, self._background, side, "beside")
+            right = _FieldPane(self, self._background, side, "beside")
             right.pane.share_view(self._left.pane)
             self._panes.append(right)
         for shown in self._panes:
@@ -388,7 +386,7 @@ def open_results(paths: Sequence[Path]) -> list[Frames]:
 
 def show_results(paths: Sequence[Path], probes: list[Probe], document: Document) -> LayoutDOM:
     """Lay out a view of results; raises InputError as ``open_results`` does."""
-    return ViewPage(open_results(paths), probes, document).layout
+    return _ViewPage(open_results(paths), probes, document).layout
 
 
 def make_view_page(paths: Sequence[Path], probes: list[Probe], document: Document) -> None:
