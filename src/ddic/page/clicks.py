@@ -63,12 +63,15 @@ class ClickDrawer:
             return
         if self._snap is not None:
             point = self._snap(point, 2.0 * SAME_CLICK * pitch)
-        # Digits that the screen shows, and no more.
-        digits = max(math.ceil(-math.log10(pitch)), 0)
-        self._set_points([*self._points, (round(point[0], digits), round(point[1], digits))])
+        self._set_points([*self._points, self.round_point(point)])
         fewest, may_have_more, _ = self._forms[self.choice.value]
         if len(self._points) == fewest and not may_have_more:
             self._end()
+
+    def round_point(self, point: Point) -> Point:
+        """Round a point to the digits that the screen shows, pixels."""
+        digits = max(math.ceil(-math.log10(self._pane.pitch)), 0)
+        return round(point[0], digits), round(point[1], digits)
 
     def _end(self) -> None:
         """Tell of the shape, if it is whole; the next one of its kind begins."""

@@ -17,6 +17,7 @@ from bokeh.models import (
     ColumnDataSource,
     Div,
     NumericInput,
+    PointDrawTool,
     Select,
     TabPanel,
     Tabs,
@@ -81,6 +82,10 @@ class _DrawPage:
     def _make_controls(self) -> None:
         self._lines = ColumnDataSource({"xs": [], "ys": []})
         self.pane.figure.multi_line("xs", "ys", source=self._lines, color="#ffd040", line_width=2)
+        self._handles = ColumnDataSource({"x": [], "y": []})
+        handles = self.pane.figure.scatter("x", "y", source=self._handles, color="#ffd040", marker="square", size=9)
+        self.pane.figure.add_tools(PointDrawTool(renderers=[handles], add=False, description="Move the points drawn"))
+        self._handles.on_change("data", lambda attribute, old, new: self._move_points())
         self._weak = ColumnDataSource({"x": [], "y": []})
         self.pane.figure.scatter("x", "y", source=self._weak, color="#ff3030", size=4)
         self._wave = ColumnDataSource({"x": [], "y": [], "x1": [], "text": []})
@@ -165,6 +170,14 @@ class _DrawPage:
             self._tell(error.problems)
             return
         self._change(lambda text: put_shape(text, Shape(shape.kind, points, shape.place)))
+
+    def _move_points(self) -> None:
+        """Take over the points of the shape that were dragged."""
+        shape = self._shapes.get(self.chosen.value)
+        points = tuple((float(x), float(y)) for x, y in zip(*map(self._handles.data.get, "xy"), strict=True))
+        if shape is not None and len(points) == len(shape.vertices) and points != shape.vertices:
+            rounded = tuple(self.drawer.round_point(point) for point in points)
+            self._change(lambda text: put_shape(text, Shape(shape.kind, rounded, shape.place)))
 
     def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
         if new != _find_number(self.text.value, keys):
@@ -261,6 +274,8 @@ class _DrawPage:
     def _show_numbers(self) -> None:
         shape = self._shapes.get(self.chosen.value)
         self.numbers.value = "" if shape is None else _write_points(shape)
+        x, y = ([], []) if shape is None else zip(*shape.vertices, strict=True)
+        self._handles.data = {"x": list(x), "y": list(y)}
 
     def _snap(self, point: Point, within: float) -> Point:
         """Move a point onto the outline of the mesh's mask where that is near."""

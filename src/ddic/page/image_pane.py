@@ -237,9 +237,12 @@ class ImagePane:
         other._partners.append(self)
 
     def show_image(self, image: ScreenImage) -> None:
-        """Show another image of the same size."""
-        self.image = image
-        self.look()
+        """Show an image of the same size."""
+        if image is not self.image:
+            self.image = image
+            self.look()
+        else:
+            self.paint()
 
     def _wait_for_rest(self, event: object) -> None:
         if not self._pending:

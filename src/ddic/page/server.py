@@ -9,6 +9,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from threading import Thread
 
+from bokeh.core.validation import silence
+from bokeh.core.validation.warnings import MISSING_RENDERERS
 from bokeh.document import Document
 from bokeh.server.auth_provider import AuthProvider
 from bokeh.server.server import Server
@@ -70,6 +72,8 @@ def start_server(make_page: MakePage, port: int = 0) -> tuple[Server, str]:
     Every tab has a document of its own. ``port`` 0 takes one that is free. Raises InputError where it is taken.
     """
     token = secrets.token_urlsafe()
+    # Figures of curves are empty until there are probes.
+    silence(MISSING_RENDERERS)
     try:
         server = Server({"/": make_page}, port=port, address=HERE, auth_provider=_TokenAuth(token),
                         websocket_compression_level=COMPRESSION)

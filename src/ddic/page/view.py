@@ -23,6 +23,7 @@ from bokeh.models import (
     LayoutDOM,
     LinearColorMapper,
     NumericInput,
+    PrintfTickFormatter,
     Select,
     Slider,
 )
@@ -50,17 +51,21 @@ FORMATS = ("png", "svg", "pdf")
 EXCLUDED_COLOUR, DOUBTFUL_COLOUR = (0, 0, 0), (255, 255, 255)
 """Of the hatching."""
 
-SIDE_OF_TWO = 560
-"""Of two images side by side, pixels of the screen."""
+SIDE_OF_ONE, SIDE_OF_TWO = 700, 560
+"""Of an image by itself, and of two side by side, pixels of the screen."""
+
+MOST_IMAGES = 4
+"""Images that are kept: each takes a few megabytes, or all of itself where its file cannot be read by windows."""
 
 DOWNLOAD = """
-if (!source.data.name.length) return;
-const bytes = Uint8Array.from(atob(source.data.base64[0]), (letter) => letter.charCodeAt(0));
+const [name, base64] = file.tags;
+const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
 const link = document.createElement("a");
 link.href = URL.createObjectURL(new Blob([bytes]));
-link.download = source.data.name[0];
+link.download = name;
 link.click();
 """
+"""Has the browser save what the tags of a model hold."""
 
 
 class _FieldPane:
@@ -86,7 +91,9 @@ class _FieldPane:
         self.limits = (0.0, 1.0)
         self.pane = ImagePane(image, [self._paint], side, name)
         self._colours = LinearColorMapper(palette=["#000000"], low=0.0, high=1.0)
-        self._bar = ColorBar(color_mapper=self._colours, title="", width=12)
+        # Numbers padded with blanks: room for those that come later.
+        self._bar = ColorBar(color_mapper=self._colours, title="", width=12,
+                             formatter=PrintfTickFormatter(format="%-9.3g"))
         self.pane.figure.add_layout(self._bar, "right")
         self.pane.follow_pointer(page.point_at)
 
@@ -132,10 +139,9 @@ class _FieldPane:
         self._bar.title = _write_plainly(title)
 
     def show(self, frames: Frames | None, subtracted: Frames | None = None) -> None:
-        """Show another result, or one less another."""
+        """Have another result shown, or one less another."""
         self.frames, self.subtracted = frames, subtracted
         self.pane.figure.visible = frames is not None
-        self.pane.paint()
 
 
 def _is_same(one: Mesh, other: Mesh) -> bool:
@@ -171,12 +177,12 @@ class _ViewPage:
         self._images: dict[Path, ScreenImage] = {}
         self.number = 0
         self._make_controls(first, probes, document)
-        side = SIDE_OF_TWO if len(results) > 1 else 700
-        self._background = self._find_background()
-        self._left = _FieldPane(self, self._background, side, "field")
+        side = SIDE_OF_TWO if len(results) > 1 else SIDE_OF_ONE
+        blank = self._find_background(first)
+        self._left = _FieldPane(self, blank, side, "field")
         self._panes = [self._left]
         if len(results) > 1:
-            right = _FieldPane(self, self._background, side, "beside")
+            right = _FieldPane(self, blank, side, "beside")
             right.pane.share_view(self._left.pane)
             self._panes.append(right)
         for shown in self._panes:
@@ -209,8 +215,8 @@ class _ViewPage:
         self._steps = ColumnDataSource({"x": [], "y": []})
         self.convergence.line("x", "y", source=self._steps)
         self.convergence.scatter("x", "y", source=self._steps)
-        self._file = ColumnDataSource({"name": [], "base64": []})
-        self._file.js_on_change("data", CustomJS(args={"source": self._file}, code=DOWNLOAD))
+        self._file = Div(visible=False)
+        self._file.js_on_change("tags", CustomJS(args={"file": self._file}, code=DOWNLOAD))
         self.exports = [Button(label=ending.upper(), width=60) for ending in FORMATS]
         for button, ending in zip(self.exports, FORMATS, strict=True):
             button.on_click(partial(self._export_figure, ending))
@@ -220,7 +226,7 @@ class _ViewPage:
             control.on_change("value", lambda attribute, old, new: self._choose_results())
         for control in (self.choice, self.colours, self.low, self.high, self.low_share, self.high_share):
             control.on_change("value", lambda attribute, old, new: self._paint())
-        self.shown.on_change("active", lambda attribute, old, new: self._change_image())
+        self.shown.on_change("active", lambda attribute, old, new: self._show_images())
         self.slider.on_change("value", lambda attribute, old, new: self._change_frame(new))
 
     @property
@@ -230,7 +236,7 @@ class _ViewPage:
             row(self.left, self.right), row(self.choice, self.colours),
             row(self.low, self.high, self.low_share, self.high_share), self.shown, self.slider,
             row(self.drawer.choice, self.readings.quantity), self.drawer.hint, self.probes.text,
-            row(*self.exports, self.table))
+            row(*self.exports, self.table, self._file))
         panes = row(*(shown.pane.figure for shown in self._panes))
         below = row(self.readings.profile, self.readings.curves, self.convergence)
         return column(self.told, row(column(panes, self.values, self.readings.table, below), right))
@@ -271,41 +277,36 @@ class _ViewPage:
     def _choose_results(self) -> None:
         left = self._results[self.left.value]
         self._left.show(left)
-        if len(self._panes) > 1:
-            asked = self.right.value
-            if asked == DIFFERENCE:
-                # From the first of the others.
-                other = next(frames for frames in self._results.values() if frames is not left)
-                self._panes[1].show(left, other)
-            else:
-                self._panes[1].show(self._results.get(asked))
+        if len(self._panes) > 1 and self.right.value == DIFFERENCE:
+            # From the first of the others.
+            other = next(frames for frames in self._results.values() if frames is not left)
+            self._panes[1].show(left, other)
+        elif len(self._panes) > 1:
+            self._panes[1].show(self._results.get(self.right.value))
+        self._show_images()
         self._tell()
 
     def _change_frame(self, number: int) -> None:
         self.number = number - 1
-        if self.is_moved:
-            self._change_image()
-        else:
-            self._paint()
+        self._show_images()
         self._tell()
 
-    def _change_image(self) -> None:
-        """Another background, where it is there and of the same size."""
-        background = self._find_background()
-        if background is not self._background:
-            self._background = background
-            for shown in self._panes:
-                shown.pane.show_image(background)
-        else:
-            self._paint()
+    def _show_images(self) -> None:
+        """Show the image of each pane's frame, and its field."""
+        for shown in self._panes:
+            if shown.frames is not None:
+                shown.pane.show_image(self._find_background(shown.frames))
 
-    def _find_background(self) -> ScreenImage:
-        """The image that the field lies over; a grey one where that is no longer there."""
-        result = self._results[self.left.value][self.number]
+    def _find_background(self, frames: Frames) -> ScreenImage:
+        """The image that a frame's field lies over; a grey one where that is no longer there."""
+        result = frames[self.number]
         path = figures.find_image(result, "deformed" if self.is_moved else "reference") or Path()
         if path not in self._images:
             width, height = (int(side) + 1 for side in result.mesh.nodes.max(axis=0))
             self._images[path] = ScreenImage.make_blank(width, height) if path == Path() else ScreenImage.open(path)
+            # Of a long series the images last looked at.
+            for other in list(self._images)[:-MOST_IMAGES]:
+                del self._images[other]
         return self._images[path]
 
     def _paint(self) -> None:
@@ -365,7 +366,7 @@ class _ViewPage:
 
     def _send(self, name: str, content: bytes) -> None:
         """Have the browser save a file."""
-        self._file.data = {"name": [name], "base64": [b64encode(content).decode("ascii")]}
+        self._file.tags = [name, b64encode(content).decode("ascii")]
 
 
 def _name(frames: Frames, among: Sequence[Frames]) -> str:
