@@ -156,6 +156,8 @@ TABLES: dict[str, dict[str, str]] = {
     },
     "newcomer": {
         "verdicts": "verdicts.measure_verdicts",
+        "starters": "starter_cases.measure_starters",
+        "mistakes": "beginner_mistakes.measure_mistakes",
     },
     "clean": {
         "pairs": "clean.measure_pairs",

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ddic.case.named_files import find_frames, is_pattern, is_series, list_named_files
-from ddic.case.schema import Case, Location, find_section
+from ddic.case.schema import Case, Location, find_section, list_sections
 from ddic.errors import InputError
 from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
 from ddic.io.text_files import parse_toml, read_text
@@ -112,11 +112,10 @@ def _nearest_key(location: Location) -> str:
     key, section = str(location[-1]), find_section(location[:-1])
     if section is None:
         return "leave it out"
+    homes = [f"[{_dotted(home)}]" for home, other in list_sections() if key in other.model_fields]
     near = get_close_matches(key.lower(), list(section.model_fields), n=1)
-    if near:
+    if near and not homes:
         return f'did you mean "{near[0]}"?'
-    of_first_level = {name: find_section((name,)) for name in Case.model_fields}
-    homes = [f"[{name}]" for name, other in of_first_level.items() if other is not None and key in other.model_fields]
     return f"it belongs to {' or '.join(homes)}" if homes else "valid here: " + ", ".join(section.model_fields)
 
 

@@ -723,6 +723,15 @@ def find_section(location: Location) -> type[BaseModel] | None:
     return section
 
 
+def list_sections(section: type[BaseModel] | None = None, place: Location = ()) -> Iterator[tuple[Location, Any]]:
+    """List the sections within a section, the whole case by default, with the keys that lead to each."""
+    for name, field in (section or Case).model_fields.items():
+        inner = find_section_in(field.annotation)
+        if inner is not None:
+            yield (*place, name), inner
+            yield from list_sections(inner, (*place, name))
+
+
 def find_section_in(annotation: Any) -> type[BaseModel] | None:
     """Find the section inside an annotation such as ``tuple[CircleSection, ...]`` or ``Section | None``.
 

@@ -219,10 +219,10 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     case, problems = loaded.case, Problems()
     for line in list_unused_keys(case):
         warnings.warn(f"{loaded.path}: {line}", UserWarning, stacklevel=2)
-    if loaded.is_series and case.images.reference in list_deformed(case.images):
-        number = list_deformed(case.images).index(case.images.reference) + 1
-        warnings.warn(f"{loaded.path}: images.deformed: frame {number} is the reference image itself; narrow the "
-                      "pattern where that is not meant", UserWarning, stacklevel=2)
+    if case.images.reference in list_deformed(case.images):
+        frame = f"frame {list_deformed(case.images).index(case.images.reference) + 1}" if loaded.is_series else "this"
+        warnings.warn(f"{loaded.path}: images.deformed: {frame} is the reference image itself; name another one, or "
+                      "narrow the pattern, where that is not meant", UserWarning, stacklevel=2)
     reference, *_ = [check_images(section, problems) for section in list_cameras(case)]
     with problems.gathered(loaded.path):
         check_output(loaded)

@@ -61,6 +61,11 @@ class Pattern:
             return BLOCK
         return max(SMALLEST_ELEMENT, 2 * math.ceil(FEATURES_A_SIDE * self.feature_size / 2.0))
 
+    def measure_bare_share(self, region: tuple[int, int, int, int]) -> float:
+        """Measure the share of a region x0, y0, x1, y1, pixels, that has hardly any texture."""
+        (row0, row1), (column0, column1) = self._find_blocks(np.array([region[:2], region[2:]], float))
+        return float(1.0 - self.has_texture[row0:row1 + 1, column0:column1 + 1].mean())
+
     def find_bare(self, points: Array) -> BoolArray:
         """Find the points, (n, 2), pixels, about which the image has hardly any texture, (n,)."""
         return np.asarray(~self.has_texture[self._find_blocks(points)])
