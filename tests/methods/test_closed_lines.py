@@ -56,6 +56,12 @@ def test_a_line_that_does_not_open_is_told(cut_off: float | None, seed: int) -> 
     assert "leave the section out" in notes
 
 
+def test_images_that_are_alike_are_no_reason_to_change_elements() -> None:
+    image = pair(0.0)[0]
+    notes = str(ddic.measure((image, image), MESH, options=with_lines(ROW)).attributes["case"]["notes"])
+    assert "its line does not open" in notes
+
+
 @pytest.mark.parametrize("cut_off", [None, 64.0])
 @pytest.mark.parametrize("slip", [0.3, 2.0])
 def test_a_line_that_opens_is_not(slip: float, cut_off: float | None) -> None:

@@ -22,7 +22,7 @@ SURELY_OPEN = 0.5
 """Pixels by which a line opens whatever the noise: how large that is takes linear steps, which are saved."""
 
 CLOSED = 4.0
-"""Standard deviations up to which an opening is no more than noise. Of a hundred places, noise exceeds 3 at one."""
+"""Standard deviations up to which an opening is no more than noise: chance exceeds 3 somewhere along many lines."""
 
 TINY = 1e-300
 """A length below any that is not 0."""
@@ -38,24 +38,15 @@ def describe_closed_lines(problem: WeightedProblem, measurement: Measurement) ->
     for number in range(len(lines)):
         cuts = [_find_cuts(subdomain, lines, number) for subdomain in measurement.subdomains]
         try:
-            opening = _find_opening_within_noise(problem, measurement, cuts)
+            told = _describe_closed(problem, measurement, cuts)
         except ConvergenceError as error:
             # What was measured stands without it; what this rank alone raises must end the job.
             if not is_collective(error):
                 raise
-            opening = None
-        if opening is not None:
-            notes.append(f"discontinuity, entry {number + 1}: {_describe_closed(*opening)}")
+            told = ""
+        if told:
+            notes.append(f"discontinuity, entry {number + 1}: {told}")
     return tuple(notes)
-
-
-def _describe_closed(largest: float, deviation: float) -> str:
-    if deviation == 0:
-        return ("its line cannot open: the elements that it cuts have too few pixels beside it; use larger elements, "
-                "or move the mesh by half of one")
-    return (f"its line does not open beyond noise: the sides part by {largest:.2g} px at most, where noise makes a "
-            f"standard deviation of {deviation:.1g} px; leave the section out, which costs noise only, or look at the "
-            "line's place")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,31 +86,33 @@ def _find_cuts(subdomain: Subdomain, lines: Sequence[Array], number: int) -> _Cu
     return _Cuts(nodes[left], nodes[right], np.minimum(ids[left], ids[right]))
 
 
-def _find_opening_within_noise(problem: WeightedProblem, measurement: Measurement,
-                               cuts: Sequence[_Cuts]) -> tuple[float, float] | None:
-    """Largest opening and its standard deviation, pixels; None where a line opens by more; collective."""
+def _describe_closed(problem: WeightedProblem, measurement: Measurement, cuts: Sequence[_Cuts]) -> str:
+    """Say that a line does not open beyond noise, with its largest opening; empty where it does; collective."""
     mine = [(cut.numbers, cut.measure_jumps(u)) for cut, u in zip(cuts, measurement.displacements, strict=True)]
     numbers, jumps = (np.concatenate(of_all) for of_all in zip(*measurement.team.gather_lists(mine), strict=True))
     jumps, numbers = np.nan_to_num(jumps[np.argsort(numbers)]), np.sort(numbers)
     lengths = np.linalg.norm(jumps, axis=1)
     farthest = np.argsort(-lengths, kind="stable")[:MOST_PLACES]
     if not len(lengths) or lengths[farthest[0]] > SURELY_OPEN:
-        return None
+        return ""
+    response = _estimate_response(problem, cuts, numbers, 1.0 - 2.0 * generate_bits(2 * numbers[:, None] + [0, 1], 0))
+    if response == 0:
+        return ("its line cannot open: the elements that it cuts have too few pixels beside it; use larger elements, "
+                "or move the mesh by half of one")
     sigma = problem.noise[0] if problem.noise else estimate_from_residual(
         measurement.model, measurement.evaluation, measurement.q, measurement.inputs.case.correlation.spline_degree)
-    signs = 1.0 - 2.0 * generate_bits(2 * numbers[:, None] + [0, 1], 0)
-    typical = sigma * _estimate_response(problem, cuts, numbers, signs) / np.sqrt(len(numbers))
-    largest: tuple[float, float] | None = None
+    deviations: list[float] = []
     for place in farthest:
-        if largest is not None and lengths[place] <= CLOSED * typical:
+        if deviations and lengths[place] <= CLOSED * sigma * response / np.sqrt(len(numbers)):
             break
         along = np.zeros(jumps.shape)
         along[place] = jumps[place] / max(lengths[place], TINY)
-        deviation = sigma * _estimate_response(problem, cuts, numbers, along)
-        if lengths[place] > CLOSED * deviation:
-            return None
-        largest = largest or (float(lengths[place]), deviation)
-    return largest
+        deviations.append(sigma * _estimate_response(problem, cuts, numbers, along))
+        if lengths[place] > CLOSED * deviations[-1]:
+            return ""
+    return (f"its line does not open beyond noise: the sides part by {lengths[farthest[0]]:.2g} px at most, where "
+            f"noise makes a standard deviation of {deviations[0]:.1g} px; leave the section out, which costs noise "
+            "only, or look at the line's place")
 
 
 def _estimate_response(problem: WeightedProblem, cuts: Sequence[_Cuts], numbers: IntArray, factors: Array) -> float:
