@@ -37,6 +37,9 @@ TIMES_LESS = 2.0
 TIP_PX, FACTOR = 1.0, 0.02
 """Farthest that the tip may be from its place, and relative error of K_I."""
 
+MOST_SCATTERS = 3.0
+"""Errors of both, in their standard deviations over rings."""
+
 
 def measure_crack(scale: Scale) -> list[Row]:
     """Measure an inclined crack in mode I whose line is known and whose tip is not."""
@@ -51,13 +54,18 @@ def measure_crack(scale: Scale) -> list[Row]:
         found = ddic.find_crack_tip(result)
         away = float(np.linalg.norm(found.position - crack.tip))
         off = found.opening_factor / crack.opening_factor - 1
+        of_tip, of_factor = found.scatter.place, found.scatter.opening_factor / crack.opening_factor
         append_result("xdic_runs", {"check": "crack", "noise": noise, "away_px": away, "factor_off": off,
-                                    "sliding": found.sliding_factor / crack.opening_factor})
+                                    "sliding": found.sliding_factor / crack.opening_factor,
+                                    "tip_scatter_px": of_tip, "factor_scatter": of_factor})
         rows.append(Row(f"mode I crack at {np.rad2deg(crack.angle):.0f} degrees, tip inside, {size} x {size} px, "
                         f"{ELEMENT}-px elements, {describe_settings(MONOLITHIC)}, noise of {noise:g} grey levels, the "
-                        f"line goes on {BEYOND:g} px beyond the tip: tip, K_I", f"within {TIP_PX:g} px, {FACTOR:.0%}",
-                        f"{away:.2f} px, {off:+.2%}; K_II {found.sliding_factor / crack.opening_factor:+.2%} of K_I",
-                        away <= TIP_PX and abs(off) <= FACTOR))
+                        f"line goes on {BEYOND:g} px beyond the tip: tip, K_I, and their scatter over rings",
+                        f"within {TIP_PX:g} px, {FACTOR:.0%}, and {MOST_SCATTERS:g} times the scatter",
+                        f"{away:.2f} px, {off:+.2%}; scatter {of_tip:.2f} px, {of_factor:.2%}; "
+                        f"K_II {found.sliding_factor / crack.opening_factor:+.2%} of K_I",
+                        away <= min(TIP_PX, MOST_SCATTERS * of_tip)
+                        and abs(off) <= min(FACTOR, MOST_SCATTERS * of_factor)))
         rows.append(_compare_tip_functions(crack, size, noise, pair))
     return rows
 

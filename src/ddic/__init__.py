@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ddic.case.loader import load_case
     from ddic.case.schema import Case
     from ddic.errors import ConvergenceError, DdicError, FactorizationError, InputError, SingularSubdomainError
-    from ddic.fracture.crack_tip import CrackTip, Ring, find_crack_tip
+    from ddic.fracture.crack_tip import CrackTip, Ring, TipDeviations, find_crack_tip
     from ddic.fracture.opening import Opening, measure_opening
     from ddic.io.result_reader import Result
     from ddic.io.result_reader import read_result as open
@@ -52,7 +52,7 @@ _PUBLIC = {
     "case.loader": ("load_case",),
     "case.schema": ("Case",),
     "errors": ("ConvergenceError", "DdicError", "FactorizationError", "InputError", "SingularSubdomainError"),
-    "fracture.crack_tip": ("CrackTip", "Ring", "find_crack_tip"),
+    "fracture.crack_tip": ("CrackTip", "Ring", "TipDeviations", "find_crack_tip"),
     "fracture.opening": ("Opening", "measure_opening"),
     "io.result_reader": ("Result", "open"),
     "io.series_reader": ("SeriesResult", "open_series"),
@@ -105,6 +105,7 @@ __all__ = [
     "SingularSubdomainError",
     "StrainGauge",
     "Sweep",
+    "TipDeviations",
     "Trial",
     "Uncertainty",
     "__version__",

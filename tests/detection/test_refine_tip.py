@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from accept.support.opened_pair import Crack, render_crack
 from ddic.detection.refine_line import UncertainLine
-from ddic.detection.refine_tip import find_tip_move
+from ddic.detection.refine_tip import LEAST_PX, choose_radius, find_tip_move
 from ddic.errors import ConvergenceError
 from ddic.fracture.crack_tip import find_kolosov_constant
 from ddic.kinematics.enriched import Discontinuities
@@ -123,8 +123,12 @@ def test_a_crack_that_is_closed_tells_nothing_of_its_tip() -> None:
     assert move.deviation > 1.0
 
 
-def test_near_another_line_no_tip_is_looked_for() -> None:
-    field_, tip, line = give("opening", 0.0)
+def test_near_another_line_there_is_no_room() -> None:
+    _, tip, line = give("opening", 0.0)
+    radius, limit = choose_radius(MESH, tip, uncertain(tip, [line]))
+    # Four elements, and 0.9 times the 87.7 px to the nearest of the mesh's nodes at the side.
+    assert (radius, limit) == (64.0, "4 elements")
     beside = line[::-1] + np.array([0.0, 20.0])
-    with pytest.raises(ConvergenceError, match="no room"):
-        find_tip_move(render("opening", 1.0), MESH, field_, tip, uncertain(tip, [line, beside]), KAPPA)
+    radius, limit = choose_radius(MESH, tip, uncertain(tip, [line, beside]))
+    assert radius < LEAST_PX
+    assert limit == "another line"

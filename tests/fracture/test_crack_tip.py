@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 import ddic
 from ddic.cli.plot import plot
-from ddic.cli.tables import crack, opening
+from ddic.cli.tables import _list_crack_lines, crack, opening
 from ddic.errors import InputError
 from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
 from ddic.io.result_reader import Result
@@ -134,3 +135,100 @@ def test_a_place_that_was_not_measured_hides_no_tip() -> None:
     # Bilinear cells miss a thousandth of the root of r from 3 cells away on.
     np.testing.assert_allclose(found.position, TIP, atol=0.2)
     assert found.opening_factor == pytest.approx(FACTORS[0], rel=5e-3)
+
+
+def noisy(deviation: float, seed: int) -> Result:
+    """The same with noise of the nodes, whose standard deviation the result knows."""
+    result = cracked()
+    result.displacement[:] += deviation * np.random.default_rng(seed).standard_normal(result.displacement.shape)
+    result.attributes["case"]["noise_floor_px"] = deviation
+    return result
+
+
+@pytest.mark.parametrize("seed", [0, 19, 32, 39, 43, 48])
+def test_cells_that_enter_and_leave_the_ring_do_not_hide_the_tip(seed: int) -> None:
+    found = ddic.find_crack_tip(noisy(0.02, seed), tip=(160.0, 100.0), ring=ddic.Ring(15.0, 45.0))
+    # Five standard deviations by noise: it is 0.9 px in so small a ring.
+    assert abs(found.position[0] - TIP[0]) < 5 * math.sqrt(3) * found.noise.place
+
+
+def test_scatter_over_rings_is_small_and_holds_the_error() -> None:
+    found = ddic.find_crack_tip(cracked())
+    assert found.n_rings == 5
+    # Bilinear cells miss the more of the root of r the nearer they are: smaller rings see more of that.
+    assert found.scatter.opening_factor < 5e-3 * FACTORS[0]
+    assert found.scatter.place < 0.2
+    # A tip that moves by 0.01 px is taken for found.
+    assert abs(found.position[0] - TIP[0]) < 3 * found.scatter.place + 0.01
+    assert abs(found.opening_factor - FACTORS[0]) < 3 * found.scatter.opening_factor
+    assert abs(found.sliding_factor - FACTORS[1]) < 3 * found.scatter.sliding_factor
+    assert abs(found.t_stress - FACTORS[2]) < 3 * found.scatter.t_stress
+    assert math.isnan(found.noise.opening_factor)
+
+
+def test_noise_of_tip_and_factors_is_that_of_many_measurements() -> None:
+    found = [ddic.find_crack_tip(noisy(0.02, seed)) for seed in range(40)]
+    values = np.array([[tip.position[0], tip.opening_factor, tip.sliding_factor, tip.t_stress] for tip in found])
+    told = found[0].noise
+    predicted = np.array([told.place, told.opening_factor, told.sliding_factor, told.t_stress])
+    # Noise of a measured field is averaged over a third of an element, that of nodes by themselves over a whole one.
+    # 40 samples tell a standard deviation to 11 %.
+    np.testing.assert_allclose(np.sqrt(3) * predicted, values.std(axis=0, ddof=1), rtol=0.35)
+
+
+def test_noise_is_averaged_over_less_where_mechanics_join_nodes() -> None:
+    result = noisy(0.02, 0)
+    alone = ddic.find_crack_tip(result).noise
+    case = json.loads(result.attributes["case"]["json"])
+    result.attributes["case"]["json"] = json.dumps({**case, "regularization": {"cut_off_wavelength": 40.0}})
+    # A weight given as eta says no wavelength.
+    assert math.isnan(ddic.find_crack_tip(result).noise.place)
+    result.attributes["case"].update(half_amplitude_shear_px=40.0, half_amplitude_longitudinal_px=40.0)
+    held = ddic.find_crack_tip(result).noise
+    # Areas of 0.4 x 40^2 and 5^2 / 3 px^2.
+    assert held.opening_factor / alone.opening_factor == pytest.approx(math.sqrt(640 * 3 / 25), rel=1e-6)
+
+
+@pytest.mark.parametrize(("ring", "limit", "n_rings"), [
+    (ddic.Ring(), "0.9 of the way to the lower edge of the mesh", 5),
+    (ddic.Ring(outer=500.0), "cut from 500 px by the lower edge of the mesh", 5),
+    (ddic.Ring(outer=60.0), "", 5),
+    (ddic.Ring(15.0, 35.0), "", 1),
+])
+def test_what_ends_the_ring_is_said(ring: ddic.Ring, limit: str, n_rings: int) -> None:
+    found = ddic.find_crack_tip(cracked(), ring=ring)
+    # Of edges as near as each other, 100 px, rounding chooses one.
+    assert found.limit.replace("upper", "lower") == limit
+    assert found.outer == pytest.approx(ring.outer if not limit else 100.0 if ring.outer else 90.0, abs=1.0)
+    assert found.n_rings == n_rings
+    assert math.isnan(found.scatter.place) == (n_rings == 1)
+    lines = dict(_list_crack_lines(found, None, 1.0, "px"))
+    assert ("scatter" in lines["K_I / mu"]) == (n_rings > 1)
+    assert lines.get("outer radius") == (f"{found.outer:.0f} px, {found.limit}" if limit else None)
+
+
+def test_a_bend_ends_the_ring() -> None:
+    result = cracked()
+    result.attributes["case"]["json"] = json.dumps(
+        {"discontinuity": [{"vertices": [[-10.0, 90.0], [82.0, 100.0], [200.0, 100.0]]}]})
+    found = ddic.find_crack_tip(result, ring=ddic.Ring(outer=90.0))
+    assert found.limit == "cut from 90 px by the line's vertex at (82, 100) px"
+    assert found.outer == pytest.approx(TIP[0] - 82.0, abs=0.5)
+
+
+def test_a_ring_that_is_hardly_seen_is_told() -> None:
+    result = cracked()
+    result.displacement[result.mesh.nodes[:, 1] < 70.0] = np.nan
+    found = ddic.find_crack_tip(result)
+    # A disk of 90 px less the part beyond 30 px of its middle, and less its middle of 15 px: 72 % of the ring.
+    assert found.covered == pytest.approx(0.72, abs=0.03)
+    assert "px of the tip, 7" in dict(_list_crack_lines(found, None, 1.0, "px"))["ring"]
+
+
+def test_scatter_is_printed_in_units_of_stress() -> None:
+    found = ddic.find_crack_tip(noisy(0.02, 1))
+    lines = dict(_list_crack_lines(found, 1000.0, 0.25, "mm"))
+    # 1000 x sqrt(0.25) of what it is over mu.
+    assert lines["K_I"] == (f"{500 * found.opening_factor:.5g} [mu] mm^(1/2), scatter "
+                            f"{500 * found.scatter.opening_factor:.2g}, noise {500 * found.noise.opening_factor:.2g}")
+    assert lines["T"].startswith(f"{1000 * found.t_stress:.5g} [mu], scatter ")

@@ -13,7 +13,7 @@ from ddic.parallel.team import Team
 from ddic.partition.build_subdomains import build_subdomains
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.linear_step import LinearStep
-from ddic.solvers.probing import estimate_response
+from ddic.solvers.probing import estimate_deviation, estimate_response
 from support.linear import Decomposed, dense, linear_step, split
 
 SIGMA = 2.0
@@ -87,3 +87,22 @@ def test_nodes_that_do_not_count_have_no_part_in_it(wavelength: float | None) ->
     assert found == pytest.approx(expected, rel=0.08)
     # Steps leave a share of what they solve, another one from another start.
     assert of_all == pytest.approx(without, rel=0.01)
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("wavelength", [None, 40.0])
+def test_a_combination_of_displacements_has_the_deviation_of_the_covariance(wavelength: float | None) -> None:
+    problem, team = linear_step(12, wavelength), Team(MPI.COMM_WORLD)
+    whole = build_subdomains(problem.region, np.zeros(problem.mesh.n_cells, np.int64), problem.controlled)[0]
+    system = problem.system(whole, np.ones(problem.mesh.n_dofs))
+    inverse = np.linalg.inv(dense(system.operator))
+    covariance = 2 * inverse @ dense(system.hessian) @ inverse
+    # How far two nodes are from each other along x.
+    factors = np.zeros(problem.mesh.nodes.shape)
+    factors[[20, 90], 0] = 1.0, -1.0
+    expected = float(np.sqrt(factors.ravel() @ covariance @ factors.ravel()))
+    with Decomposed(team, problem, split(problem.mesh, "blocks", 4), "consistent") as parts:
+        loads = [factors[s.node_ids] / s.node_multiplicity[:, None] for s in parts.subdomains]
+        found = estimate_deviation(team, parts.systems, parts.step(DualSettings("scaled")), loads)
+    # A step may leave a tenth of what it solves; it leaves less.
+    assert found == pytest.approx(expected, rel=0.05)

@@ -170,20 +170,46 @@ def crack(file: Path, frame: int | None, line: int, tip: tuple[float, float] | N
 def _list_crack_lines(found: CrackTip, shear_modulus: float | None, pixel_size: float,
                       unit: str) -> list[tuple[str, str]]:
     """Names and values of what is printed."""
-    x, y = found.position
-    lines = [
-        ("tip", f"({x:.2f}, {y:.2f}) px, crack at {math.degrees(found.angle):.2f} degrees from +x to +y"),
-        ("K_I / mu", f"{found.opening_factor:.5g} px^(1/2)"),
-        ("K_II / mu", f"{found.sliding_factor:.5g} px^(1/2)"),
-        ("T / mu", f"{found.t_stress:.5g}"),
-    ]
+    from ddic.fracture.crack_tip import N_RINGS
+
+    (x, y), scatter, noise = found.position, found.scatter, found.noise
+    values = {"K_I": (found.opening_factor, scatter.opening_factor, noise.opening_factor),
+              "K_II": (found.sliding_factor, scatter.sliding_factor, noise.sliding_factor),
+              "T": (found.t_stress, scatter.t_stress, noise.t_stress)}
+    lines = [("tip", f"({x:.2f}, {y:.2f}) px{_describe_spread(scatter.place, noise.place)}, crack at "
+                     f"{math.degrees(found.angle):.2f} degrees from +x to +y"),
+             ("K_I / mu", _describe_value(values["K_I"], 1.0, " px^(1/2)")),
+             ("K_II / mu", _describe_value(values["K_II"], 1.0, " px^(1/2)")),
+             ("T / mu", _describe_value(values["T"], 1.0, ""))]
     if shear_modulus is not None:
         factor = shear_modulus * math.sqrt(pixel_size)
-        lines += [("K_I", f"{factor * found.opening_factor:.5g} [mu] {unit}^(1/2)"),
-                  ("K_II", f"{factor * found.sliding_factor:.5g} [mu] {unit}^(1/2)"),
-                  ("T", f"{shear_modulus * found.t_stress:.5g} [mu]")]
-    return [*lines, ("ring", f"{found.n_cells} cells between {found.inner:.0f} and {found.outer:.0f} px of the tip"),
+        lines += [("K_I", _describe_value(values["K_I"], factor, f" [mu] {unit}^(1/2)")),
+                  ("K_II", _describe_value(values["K_II"], factor, f" [mu] {unit}^(1/2)")),
+                  ("T", _describe_value(values["T"], shear_modulus, " [mu]"))]
+    share = f", {found.covered:.0%} of the ring" if found.covered < WHOLE_RING else ""
+    radii = f"between {found.inner:.0f} and {found.outer:.0f} px of the tip"
+    lines.append(("ring", f"{found.n_cells} cells {radii}{share}"))
+    if found.limit:
+        lines.append(("outer radius", f"{found.outer:.0f} px, {found.limit}"))
+    rings = f"standard deviation over {found.n_rings} of {N_RINGS} rings, of smaller outer radii"
+    return [*lines, ("scatter", rings if found.n_rings > 1 else "not known: no smaller ring finds a tip"),
             ("left over", f"{found.rms:.2g} px RMS beside the series")]
+
+
+WHOLE_RING = 0.9
+"""Share of a ring that cells cover from which on it counts as whole: at its edges they are in it or not."""
+
+
+def _describe_value(value: tuple[float, float, float], factor: float, unit: str) -> str:
+    """A value with its standard deviations over rings and by noise, times a factor."""
+    found, scatter, noise = (factor * one for one in value)
+    return f"{found:.5g}{unit}{_describe_spread(scatter, noise)}"
+
+
+def _describe_spread(scatter: float, noise: float) -> str:
+    """Standard deviations, of which those that are not known are left out."""
+    known = {"scatter": scatter, "noise": noise}
+    return "".join(f", {name} {value:.2g}" for name, value in known.items() if not math.isnan(value))
 
 
 @click.command()

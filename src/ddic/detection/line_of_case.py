@@ -12,7 +12,7 @@ import numpy as np
 from ddic.arrays import Array
 from ddic.case.schema import Case, DiscontinuitySection
 from ddic.detection.refine_line import SEARCHED, Squares, UncertainLine, find_move, measure_residuals, refine_line
-from ddic.detection.refine_tip import find_tip_move
+from ddic.detection.refine_tip import LEAST_PX, choose_radius, find_tip_move
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError
 from ddic.fracture.crack_tip import find_kolosov_constant
 from ddic.functionals.regularization import Material
@@ -285,10 +285,14 @@ def _refine_tip(case: Case, images: Images, mesh: Mesh, field: CutField, tip: Ti
     """All lines, a tip where Williams' series fits the images best, and what is to be told if it was off."""
     elastic = case.regularization or Material()
     kappa = find_kolosov_constant(elastic.poisson_ratio, elastic.plane)
+    radius, limit = choose_radius(mesh, tip, line)
+    if radius < LEAST_PX:
+        return line.among, [f"its tip was not looked at: {limit} leaves Williams' series {radius:.0f} px, and it needs "
+                            f"{LEAST_PX:g}"]
     try:
         move = find_tip_move(images, mesh, field, tip, line, kappa)
     except ConvergenceError:
-        # No room, or no crack as the series has it: nothing is known of the tip's place.
+        # No crack as the series has it: nothing is known of the tip's place.
         return line.among, []
     if abs(move.ahead) <= max(TIP_OFF, CERTAIN * move.deviation):
         return line.among, []
@@ -299,7 +303,7 @@ def _refine_tip(case: Case, images: Images, mesh: Mesh, field: CutField, tip: Ti
     x, y = vertices[tip.vertex]
     return line.move_to(vertices).among, [
         f"its tip was off, and was refined by the residual: moved by {move.ahead:+.2f} px along the line, ahead where "
-        f"positive; now ({x:.2f}, {y:.2f}) px"]
+        f"positive; now ({x:.2f}, {y:.2f}) px (Williams' series within {radius:.0f} px: {limit})"]
 
 
 def _describe_limit(what: str, moved: str, uncertainty: float) -> str:

@@ -43,7 +43,7 @@ ROOM = 0.9
 
 LARGEST_ELEMENTS, LARGEST_PX, LEAST_PX = 4.0, 100.0, 24.0
 """Radius up to which the series is fitted. A larger one tells more, takes longer, and depends more on what the specimen
-is; with a smaller one than the last, pixels, no tip is looked for."""
+is; with a smaller one than the last, pixels, no tip should be looked for."""
 
 INNER = 3.0
 """Pixels about the tip that do not count: there, materials do not stretch as the series does."""
@@ -72,10 +72,10 @@ def find_tip_move(images: Images, mesh: Mesh, start: CutField, tip: Tip, line: U
     """Find how far the tip of a line is off along it, which is as uncertain as the line.
 
     The series starts from ``start``, pixels; the region's mesh is not cut; ``kappa`` is Kolosov's constant. Raises
-    ConvergenceError where there is no room for the series, or no tip is found.
+    ConvergenceError where no tip is found.
     """
     deviation = line.deviation
-    radius = _choose_radius(mesh, tip, line)
+    radius, _ = choose_radius(mesh, tip, line)
     disk = _Disk.list_pixels(images, tip, radius, kappa)
     coefficients, ahead = disk.fit(start, min(measure_cell_size(mesh), radius / 2)), 0.0
     for _ in range(MOST_MOVES):
@@ -91,17 +91,19 @@ def find_tip_move(images: Images, mesh: Mesh, start: CutField, tip: Tip, line: U
     raise ConvergenceError("about the tip, Williams' series does not fit the images")
 
 
-def _choose_radius(mesh: Mesh, tip: Tip, line: UncertainLine) -> float:
-    """Radius of the disk about a tip in which its series holds, pixels."""
+def choose_radius(mesh: Mesh, tip: Tip, line: UncertainLine) -> tuple[float, str]:
+    """Choose the radius of the disk about a tip in which its series holds, pixels; and say what it ends at."""
     vertices = line.vertices
     edge = mesh.nodes[find_boundary_nodes(mesh)]
     last, before = (0, 1) if tip.vertex == 0 else (-1, -2)
-    room = [np.linalg.norm(edge - tip.position, axis=1).min(), np.linalg.norm(vertices[last] - vertices[before]),
-            *(measure_distance(tip.position[None], other)[0] for other in line.others)]
-    radius = min(ROOM * float(min(room)), LARGEST_ELEMENTS * measure_cell_size(mesh), LARGEST_PX)
-    if radius < LEAST_PX:
-        raise ConvergenceError("there is no room for Williams' series about the tip")
-    return radius
+    others = [float(measure_distance(tip.position[None], other)[0]) for other in line.others]
+    limits = {"the mesh's edge": ROOM * float(np.linalg.norm(edge - tip.position, axis=1).min()),
+              "the line's next vertex": ROOM * float(np.linalg.norm(vertices[last] - vertices[before])),
+              "another line": ROOM * min(others, default=np.inf),
+              f"{LARGEST_ELEMENTS:g} elements": LARGEST_ELEMENTS * measure_cell_size(mesh),
+              "the most that is fitted": LARGEST_PX}
+    limit = min(limits, key=lambda name: limits[name])
+    return limits[limit], limit
 
 
 @dataclass(frozen=True, eq=False)

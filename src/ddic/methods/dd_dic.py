@@ -12,6 +12,7 @@ from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.residual_model import ResidualModel, read_frame_windows
 from ddic.problem.weighted_problem import WeightedProblem
+from ddic.results.closed_lines import describe_closed_lines
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import Measurement, finish_measurement, last_field_kept
 from ddic.solvers.gauss_newton import Progress
@@ -172,6 +173,7 @@ class DecomposedSession(MethodSession):
             solved = solve_frame(problem, model, q, self._listener, self._clock, least_shown)
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
+            measurement = measurement.with_notes(describe_closed_lines(problem, measurement))
         note_all(self._listener, measurement.notes[len(notes) + len(solved.notes):])
         return measurement
 

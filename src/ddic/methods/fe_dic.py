@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -202,15 +202,9 @@ def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inp
         found = roughly
     note_all(listener, found.notes)
     if not found.is_any:
-        return add_notes(measurement, found.notes)
+        return measurement.with_notes(found.notes)
     return replace(inputs, case=inputs.case.model_copy(update={"discontinuity": found.sections}),
                    notes=(*inputs.notes, *found.notes))
-
-
-def add_notes(measurement: Measurement, notes: Sequence[str]) -> Measurement:
-    """Add notes to those of a measurement and of its result."""
-    of_result = replace(measurement.inputs, notes=(*measurement.inputs.notes, *notes))
-    return replace(measurement, inputs=of_result, notes=(*measurement.notes, *notes))
 
 
 def _refine_lines(inputs: Inputs, measurement: Measurement, frame: Frame, clock: PhaseClock) -> Refinement:

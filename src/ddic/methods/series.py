@@ -34,7 +34,7 @@ from ddic.io.replace_on_exit import replaced_together
 from ddic.io.result_writer import ResultWriter
 from ddic.io.series_writer import BackgroundWriter, FrameState, ReadAhead, SeriesFolder, join_frames
 from ddic.methods.dd_dic import DecomposedSession
-from ddic.methods.fe_dic import add_notes, measure_and_look
+from ddic.methods.fe_dic import measure_and_look
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import StopRequest, is_stop_asked
 from ddic.parallel.team import Team, require_held
@@ -510,7 +510,7 @@ def _measure_on_lines(session: ReferenceSession, frame: Frame, states: Sequence[
         refined.close()
         raise
     # They are of this frame alone: a series that is resumed knows the lines, not how they were found.
-    return refined, add_notes(measurement, measured.notes[len(inputs.notes):])
+    return refined, measurement.with_notes(measured.notes[len(inputs.notes):])
 
 
 @dataclass

@@ -160,6 +160,11 @@ class Measurement:
             found.append(displacement)
         return found
 
+    def with_notes(self, notes: Sequence[str]) -> Measurement:
+        """Give the same with more notes, which its result has too."""
+        of_result = replace(self.inputs, notes=(*self.inputs.notes, *notes))
+        return replace(self, inputs=of_result, notes=(*self.notes, *notes))
+
     @property
     def verdict(self) -> Verdict:
         """Whether the field can be trusted."""

@@ -147,14 +147,33 @@ def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearSt
     return NoiseResponse(float(np.sqrt(2.0 * of_covariance / n_components)), float(of_determined))
 
 
+def estimate_deviation(team: Team, systems: Sequence[LocalSystem], step: LinearStep, loads: Sequence[Array]) -> float:
+    """Estimate the standard deviation of a linear combination of all nodes' displacements; collective.
+
+    By white noise of both images of one grey level. ``loads`` are the factors of the displacements of each owned
+    subdomain, (n_nodes, dim); copies of a node add up. Raises ConvergenceError on all ranks, where a linear step with A
+    does not converge.
+    """
+    at_rest = Field.zero(team, [system.subdomain for system in systems])
+    scale = _find_scale(team, systems)
+    b = at_rest.with_parts(scale * _take_to_unknowns(system.subdomain, of_nodes.ravel())
+                           for system, of_nodes in zip(systems, loads, strict=True))
+    y = step.solve(at_rest, b, _ENOUGH).dq / scale
+    return float(np.sqrt(2.0 * y.multiply(_multiply_by_hessians(systems, y))))
+
+
 def _project_signs(subdomain: Subdomain, shares: Array, probe: int) -> Array:
     """A subdomain's part of T^T z, z of random signs that are the same whatever the partition, (n_unknowns,)."""
     dim = subdomain.mesh.dim
     components = (subdomain.node_ids[:, None] * dim + np.arange(dim)).ravel()
     signs = 1.0 - 2.0 * generate_bits(components, probe)
-    shared = signs * np.repeat(shares, dim)
+    return _take_to_unknowns(subdomain, signs * np.repeat(shares, dim))
+
+
+def _take_to_unknowns(subdomain: Subdomain, loads: Array) -> Array:
+    """Factors of the nodes' displacements, (mesh.n_dofs,), as those of the unknowns, (n_unknowns,)."""
     b = np.zeros(subdomain.n_unknowns)
-    b[:subdomain.n_field] = subdomain.kinematics.tangent.T @ shared
+    b[:subdomain.n_field] = subdomain.kinematics.tangent.T @ loads
     return b
 
 
