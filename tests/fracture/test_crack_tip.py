@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,14 @@ def test_tip_and_factors_are_found_from_any_guess(guess: float, one: float, rati
     assert found.opening_factor == pytest.approx(one, rel=5e-3)
     assert found.sliding_factor == pytest.approx(ratio * one, abs=5e-3 * one)
     assert found.t_stress == pytest.approx(2e-4, abs=2e-3 * one)
+
+
+@pytest.mark.parametrize("ratio", [{"young_ratio": 15.0}, {"young_ratio": 1.0, "shear_ratio": 0.5}])
+def test_a_composite_has_no_isotropic_tip(ratio: dict[str, float]) -> None:
+    result = cracked()
+    case = {**json.loads(result.attributes["case"]["json"]), "regularization": ratio}
+    with pytest.raises(InputError, match=r"measured as a composite .* opening along the line"):
+        ddic.find_crack_tip(replace(result, attributes={"case": {"json": json.dumps(case)}}))
 
 
 def test_opening_is_that_of_the_faces() -> None:

@@ -13,6 +13,7 @@ from ddic.errors import ConvergenceError, InputError
 from ddic.fracture.opening import get_line
 from ddic.functionals.grey_statistics import find_weighted_median
 from ddic.io.result_reader import Result
+from ddic.io.result_schema import get_case
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.quality import measure_areas
 
@@ -143,10 +144,11 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
     Raises
     ------
     InputError
-        Where there is no such line, or no room for the ring.
+        Where there is no such line, or no room for the ring, or the case's regularization is that of a composite.
     ConvergenceError
         Where the tip is not found.
     """
+    _refuse_composite(result)
     vertices = get_line(result, line)
     fit = _Fit.prepare(result, find_kolosov_constant(poisson_ratio, plane))
     start, end = vertices[-2:]
@@ -171,6 +173,15 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
         position = position + np.clip(ahead, -radii[0], radii[0]) * along
     raise ConvergenceError(f"{result.path}: line {line}: no crack tip is found from ({asked[0]:.1f}, {asked[1]:.1f}) "
                            "px on; the line may be open all along, or give another place or ring")
+
+
+def _refuse_composite(result: Result) -> None:
+    """Refuse a material that Williams' series is not of, as far as the case tells; one of long ago knows isotropy."""
+    section = get_case(result.attributes).get("regularization") or {}
+    if section.get("young_ratio", 1.0) != 1.0 or section.get("shear_ratio") is not None:
+        raise InputError(f"{result.path}: was measured as a composite (regularization.young_ratio, shear_ratio), and "
+                         "Williams' series is that of an isotropic material: it has neither tip nor factors of this "
+                         "one; take the opening along the line")
 
 
 def _describe_tip(fit: _Fit, position: Array, along: Array, radii: tuple[float, float]) -> CrackTip:
