@@ -88,7 +88,7 @@ def test_places_at_a_bend_whose_sides_are_not_cut_are_left_out() -> None:
                     for v in (-0.3, 0.3))
     deformed = np.where(is_above, above[1], below[1]).astype(np.uint8)
     result = ddic.measure((above[0], deformed), ddic.structured_mesh((16, 16, 176, 176), 32),
-                          options={"discontinuity": [{"vertices": vertices.tolist()}]})
+                          discontinuity=[{"vertices": vertices.tolist()}])
     found = ddic.measure_opening(result)
     # 8 bit on 32-px elements, and what opens shows nothing of either side.
     length = np.hypot(found.tangential, found.normal)
@@ -114,7 +114,7 @@ def test_commands_print_and_write(tmp_path: Path) -> None:
                                     (160, 160), seed=1)
     mesh = ddic.structured_mesh((16, 16, 144, 144), 8)
     path = tmp_path / "slid.vtkhdf"
-    ddic.measure(pair, mesh, options={"discontinuity": [{"vertices": [[0, 80.3], [160, 80.3]]}]}, output=path)
+    ddic.measure(pair, mesh, discontinuity=[{"vertices": [[0, 80.3], [160, 80.3]]}], output=path)
     table = CliRunner().invoke(opening, [str(path)])
     assert table.exit_code == 0, table.output
     rows = np.genfromtxt(tmp_path / "slid.opening.csv", delimiter=",", names=True)

@@ -63,12 +63,11 @@ def _write(folder: Path, more: str) -> Path:
 def _measure_error(mapping: dict[str, Any], **keys: Any) -> float:
     pair = pair_of(BENT, 192, 8)
     mesh = ddic.structured_mesh((24, 24, 168, 168), 12)
-    settings = {"regularization": {"cut_off_wavelength": LONG, **keys}, "mesh": {"mapping": mapping}}
+    given: Any = mesh
     if mapping:
-        nodes = np.column_stack([mesh.nodes[:, 0], 192.0 - mesh.nodes[:, 1]])
-        result = ddic.measure((pair.reference, pair.deformed), (nodes, mesh.cells[:, ::-1]), options=settings)
-    else:
-        result = ddic.measure((pair.reference, pair.deformed), mesh, options=settings)
+        given = (np.column_stack([mesh.nodes[:, 0], 192.0 - mesh.nodes[:, 1]]), mesh.cells[:, ::-1])
+    result = ddic.measure((pair.reference, pair.deformed), mesh={"file": given, "mapping": mapping},
+                          regularization={"cut_off_wavelength": LONG, **keys})
     error = result.displacement - BENT.displacement(result.mesh.nodes)
     return float(np.sqrt((error**2).mean()))
 
@@ -103,12 +102,11 @@ def test_every_solver_finds_one_field_on_any_number_of_ranks(shared_path: Path, 
 @pytest.mark.parametrize("degrees", [0.0, 90.0])
 def test_products_of_functions_hold_the_field_of_elements(degrees: float) -> None:
     pair = pair_of(BENT, 192, 8)
-    options = {"regularization": {"cut_off_wavelength": 60, "young_ratio": 4.0, "material_angle_degrees": degrees},
-               "mesh": {"structured": {"region": [24, 24, 168, 168], "element_size": 8}}}
-    separated = ddic.measure((pair.reference, pair.deformed), options={**options, "pgd": {}})
-    del options["mesh"]
-    mesh = ddic.structured_mesh((24, 24, 168, 168), 8)
-    whole = ddic.measure((pair.reference, pair.deformed), mesh, options=options)
+    sections: dict[str, Any] = {
+        "mesh": {"structured": {"region": [24, 24, 168, 168], "element_size": 8}},
+        "regularization": {"cut_off_wavelength": 60, "young_ratio": 4.0, "material_angle_degrees": degrees}}
+    separated = ddic.measure((pair.reference, pair.deformed), **sections, pgd={})
+    whole = ddic.measure((pair.reference, pair.deformed), **sections)
     inside = (np.abs(whole.mesh.nodes - 96.0) < 60.0).all(axis=1)
     difference = separated.at(whole.mesh.nodes[inside]) - whole.displacement[inside]
     # Corrections end at a thousandth of the field, of 0.5 px RMS.

@@ -231,7 +231,7 @@ def test_a_field_that_did_not_converge_is_no_result(tmp_path: Path) -> None:
     pair = ddic.make_synthetic_pair(lambda points: np.full_like(points, 0.3), (120, 120), seed=1)
     options = {"gauss_newton": {"max_iterations": 1, "rms_tolerance": 1e-12, "tolerance": 1e-12}}
     with pytest.raises(ConvergenceError) as raised:
-        ddic.measure(pair, ddic.structured_mesh((10, 10, 110, 110), 20), options=options)
+        ddic.measure(pair, ddic.structured_mesh((10, 10, 110, 110), 20), **options)
     ddic.write_report(raised.value.result, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "This field did not converge: " in page

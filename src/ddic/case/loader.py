@@ -112,12 +112,17 @@ def _nearest_key(location: Location) -> str:
     key, section = str(location[-1]), find_section(location[:-1])
     if section is None:
         return "leave it out"
-    near = get_close_matches(key.lower(), list(section.model_fields), n=1)
-    if near:
-        return f'did you mean "{near[0]}"?'
+    valid = list(section.model_fields)
     of_first_level = {name: find_section((name,)) for name in Case.model_fields}
     homes = [f"[{name}]" for name, other in of_first_level.items() if other is not None and key in other.model_fields]
-    return f"it belongs to {' or '.join(homes)}" if homes else "valid here: " + ", ".join(section.model_fields)
+    is_elsewhere = homes and not get_close_matches(key.lower(), valid, n=1)
+    return f"it belongs to {' or '.join(homes)}" if is_elsewhere else describe_nearest(key, valid)
+
+
+def describe_nearest(name: str, valid: Sequence[str]) -> str:
+    """Describe what an unknown name may have been meant for: the nearest valid one, else all."""
+    near = get_close_matches(name.lower(), valid, n=1)
+    return f'did you mean "{near[0]}"?' if near else "valid here: " + ", ".join(valid)
 
 
 def _value_at(data: Any, location: Location) -> Any:
@@ -400,7 +405,8 @@ def list_unused_keys(case: Case) -> list[str]:
          searches and start.features and not start.rigid),
         ("start", ("largest_enriched_block",), "[[discontinuity]]", searches and not case.discontinuity),
         ("start", ("independent",), 'solver.method = "dual"', is_never_dual and start.independent),
-        ("images", ("noise",), "[[near]], whose cameras it is weighed against", not case.near),
+        ("images", ("noise",), "output.uncertainty = true, or [[near]], whose cameras it is weighed against",
+         not (case.near or case.output.uncertainty)),
     ]
     return [f"{name}.{key} changes nothing here: it goes with {partner}; leave it out"
             for name, keys, partner, is_idle in rules if is_idle
