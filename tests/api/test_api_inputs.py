@@ -73,7 +73,7 @@ def test_masks(pair: Pair, mesh: ddic.Mesh, mask: Any, words: str) -> None:
     (np.ones((140, 160)), "one array is given, a pair expected"),
     (None, "images.reference: this key is missing; give a case file, a pair of images, or"),
     (ddic.Image(np.ones((140, 160))), "Image given; give a case file"),
-    ({"reference": 1}, "dict given; give a case file"),
+    ({"images": 1}, "images: a mapping is given; give the sections of a case as arguments, ddic.measure(**case)"),
 ])
 def test_pairs(mesh: ddic.Mesh, source: Any, words: str) -> None:
     assert words in told(lambda: ddic.measure(source, mesh))
@@ -140,6 +140,9 @@ def test_mask_of_a_structured_mesh_may_be_an_image() -> None:
 
 @pytest.mark.parametrize(("sections", "words"), [
     ({"regularisation": {}}, 'regularisation: unknown argument; did you mean "regularization"?'),
+    ({"msh": 3}, 'msh: unknown argument; did you mean "mesh"?'),
+    ({"discontinuity": "find"}, 'discontinuity = "find": write "detect", or [[discontinuity]] sections'),
+    ({"discontinuity": {"vertices": []}}, "one section is given, a list of them expected: [[discontinuity]], or [{"),
     ({"kinematic": None}, 'kinematic: unknown argument; did you mean "kinematics"?'),
     ({"options": {}}, "options: unknown argument; valid here: title, images, near, mesh, discontinuity"),
     ({"regularization": {"cutoff": 3}}, "regularization.cutoff: unknown key; valid here: cut_off_wavelength, eta"),
@@ -181,6 +184,11 @@ def test_sections(pair: Pair, mesh: ddic.Mesh, sections: dict[str, Any], words: 
 ])
 def test_sections_of_a_mesh(pair: Pair, mesh: Any, words: str) -> None:
     assert words in told(lambda: ddic.measure(pair, mesh))
+
+
+def test_several_images_are_a_series(pair: Pair, mesh: ddic.Mesh) -> None:
+    images = {"reference": pair[0], "deformed": ["a.tif", "b.tif"]}
+    assert "images.deformed: several images; run a case file" in told(lambda: ddic.measure(images=images, mesh=mesh))
 
 
 def test_what_a_mesh_of_sections_is_refused_for(pair: Pair) -> None:
@@ -335,6 +343,7 @@ def test_results(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
     assert "not a readable ddic result file" in told(lambda: ddic.open(__file__))
     assert "int given, the name of a file expected" in told(lambda: ddic.open(3))  # type: ignore[arg-type]
     result = ddic.measure(pair, mesh)
+    assert told(lambda: result.plot("strain", numbr="xx")) == 'numbr: unknown argument; did you mean "number"?'
     for points in (np.zeros(2), np.zeros((4, 3)), np.zeros((2, 2, 2))):
         assert "(n, 2) expected: x and y of each point" in told(lambda points=points: result.at(points))
 

@@ -63,6 +63,16 @@ def test_wrong_images_and_sizes_are_refused(image: np.ndarray, sizes: tuple[int,
         ddic.estimate_uncertainty(image, element_sizes=sizes)
 
 
+@pytest.mark.parametrize(("sections", "message"), [
+    ({"sizes": (16,)}, "sizes: unknown argument; valid here: element_sizes"),
+    ({"mesh": {}}, "mesh: unknown argument"),
+    ({"solver": {"method": "fast"}}, 'solver.method = "fast": expected'),
+])
+def test_wrong_sections_are_refused(sections: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        ddic.estimate_uncertainty(IMAGE, **sections)
+
+
 def test_command_writes_a_table_and_a_figure(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "f.tif"), IMAGE)
     case = tmp_path / "case.toml"

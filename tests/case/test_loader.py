@@ -89,6 +89,8 @@ def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: py
      "regularization.not_controlled[0] = []: expected a text in quotes"),
     ("[solver]\nblocks = [1, 2, 3]\npartition = 'blocks'",
      "solver.blocks = [1, 2, 3]: expected at most 2 items"),
+    ("[discontinuity]\nvertices = [[0, 0], [9, 9]]",
+     "discontinuity: one section is given, a list of them expected: [[discontinuity]], or [{...}] in Python"),
     ("[regularization]\nplane = 'stress'",
      "regularization: give either regularization.cut_off_wavelength or regularization.eta"),
     ("[regularization]\neta = 1\npoisson_ratio = 0.5",

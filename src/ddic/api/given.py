@@ -14,11 +14,11 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
-from ddic.case.loader import LoadedCase, convert_shorthand, convert_to_case, describe_nearest
+from ddic.case.loader import LoadedCase, convert_shorthand, convert_to_case
 from ddic.case.named_files import find_frames
 from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.check.case import check_case, load_checked_case
-from ddic.errors import InputError, as_collective
+from ddic.errors import InputError, as_collective, refuse_unknown_arguments
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite, find_saturation
 from ddic.images.source import ImageSource
@@ -49,9 +49,6 @@ ChooseKinematics = Callable[[Mesh], RegionKinematics]
 
 _IN_MEMORY = "in memory"
 """In place of the name of an image that is given in memory."""
-
-_PROGRAM_ONLY = ("kinematics", "comm")
-"""Arguments beside the sections of a case that have no section's name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +87,7 @@ def sort_arguments(sections: Mapping[str, Any], *, mesh: Any = None, start: Any 
     ``mesh``, ``start`` and ``output`` are sections, or what these name by ``file``, ``from_result`` or ``from_points``,
     and ``file``.
     """
-    _refuse_unknown(sections)
+    refuse_unknown_arguments(sections, [*Case.model_fields, "kinematics", "comm"])
     if comm is not None and not isinstance(comm, MPI.Comm):
         raise InputError(f"comm: {type(comm).__name__} given; give a communicator of mpi4py")
     if kinematics is not None and not callable(kinematics):
@@ -111,14 +108,6 @@ def sort_arguments(sections: Mapping[str, Any], *, mesh: Any = None, start: Any 
     return Arguments(kept, images["reference"], images["deformed"], _take_from_memory(kept, "mesh", "file"),
                      next((start for start in starts if start is not None), None),
                      None if file is None else as_path(file, "output"), kinematics)
-
-
-def _refuse_unknown(sections: Mapping[str, Any]) -> None:
-    """Refuse arguments that are neither a section nor ours, which a case file has no word for."""
-    known = [*Case.model_fields, *_PROGRAM_ONLY]
-    unknown = [f"{name}: unknown argument; {describe_nearest(name, known)}" for name in sections if name not in known]
-    if unknown:
-        raise InputError(unknown)
 
 
 def _take_out(sections: dict[str, Any], name: str, key: str) -> Any:

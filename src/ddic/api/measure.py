@@ -244,8 +244,8 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike] | None 
         file; or the section ``mesh``, whose ``file`` may be any of these.
     start : Result, pair of (n, 2) arrays or mapping, optional
         A displacement to start from, in place of what a case says: an earlier result, or points and their displacement,
-        pixels of the reference image; or the section ``start``, whose ``from_result`` may be either. Where the images
-        do not bear it out, the search goes on from it.
+        pixels of the reference image; or the section ``start``, whose ``from_result`` and ``from_points`` may be these.
+        Where the images do not bear it out, the search goes on from it.
     output : str, Path or mapping, optional
         Result file to write as well, or the section ``output``; none by default, also where a case names one.
     kinematics : callable, optional
@@ -400,8 +400,13 @@ def _pair(source: object, given: Arguments) -> tuple[Any, Any]:
             raise InputError(f"{name}: images are the first argument, too; leave one of them out")
         if source is None and image is None:
             raise InputError(f"{name}: this key is missing; give a case file, a pair of images, or images=dict(...)")
+    if source is None and isinstance(given.deformed, list | tuple) and all(isinstance(file, str | Path)
+                                                                           for file in given.deformed):
+        raise InputError("images.deformed: several images; run a case file, or prepare a session and measure each")
     if source is None:
         return given.reference, given.deformed
+    if isinstance(source, Mapping):
+        raise InputError("images: a mapping is given; give the sections of a case as arguments, ddic.measure(**case)")
     if not isinstance(source, list | tuple | np.ndarray):
         raise InputError(f"images: {type(source).__name__} given; give a case file, a case or a pair (reference image, "
                          "deformed image)")

@@ -20,7 +20,7 @@ from ddic.case.methods import find_method_section
 from ddic.case.named_files import list_deformed
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case, DiscontinuitySection, SolverSection
-from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
+from ddic.errors import ConvergenceError, InputError, SingularSubdomainError, refuse_unknown_arguments
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import make_first_camera
@@ -145,6 +145,9 @@ LARGEST_SIDE = 1024
 DEGREE = 5
 """Of the spline that moves the image: another one than the cubic that measures, or its errors would cancel."""
 
+OF_A_PAIR = ("images", "near", "mesh", "series", "start", "output")
+"""Sections that say what is not chosen here."""
+
 N_POINTS = 20000
 """Places at which errors are taken."""
 
@@ -212,6 +215,8 @@ def estimate_uncertainty(image: NDArray[Any], *, element_sizes: Sequence[float] 
     middle = np.array([width, height]) / 2 + (0.37, -0.21)
     along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
     ends = np.stack([middle - 2 * sum(grey.shape) * along, middle + 2 * sum(grey.shape) * along])
+    of_elements = ("element_sizes", "n_amplitudes", "noise")
+    refuse_unknown_arguments(sections, [*of_elements, *(name for name in Case.model_fields if name not in OF_A_PAIR)])
     settings = sort_arguments(sections).sections
     line = next(iter(make_case(settings).discontinuity), DiscontinuitySection(opening="tangential"))
     settings.pop("discontinuity", None)

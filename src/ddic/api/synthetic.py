@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array
-from ddic.case.loader import describe_nearest
-from ddic.errors import InputError
+from ddic.errors import InputError, describe_nearest
 from ddic.synth.fields import DisplacementField, Hole
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture

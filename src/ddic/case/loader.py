@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from ddic.case.named_files import find_frames, is_pattern, is_series, list_named_files
 from ddic.case.schema import Case, Location, find_section
-from ddic.errors import InputError
+from ddic.errors import InputError, describe_nearest
 from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
 from ddic.io.text_files import parse_toml, read_text
 from ddic.mesh.mesh import Mesh
@@ -94,6 +94,8 @@ def _line(location: Location, problem: ErrorDetails, data: Mapping[str, Any]) ->
         # The schema's own sentence names the keys that it compares.
         reason = str(context["error"])
         return f"{key}: {reason}" if key else reason
+    if kind == "tuple_type" and find_section(location) and isinstance(_value_at(data, location), Mapping):
+        return f"{key}: one section is given, a list of them expected: [[{key}]], or [{{...}}] in Python"
     # pydantic quotes words like Python, TOML like this.
     expected = EXPECTED.get(kind, problem["msg"]).format_map(context).replace("'", '"')
     return f"{key} = {_shown(_value_at(data, location))}: expected {expected}"
@@ -117,12 +119,6 @@ def _nearest_key(location: Location) -> str:
     homes = [f"[{name}]" for name, other in of_first_level.items() if other is not None and key in other.model_fields]
     is_elsewhere = homes and not get_close_matches(key.lower(), valid, n=1)
     return f"it belongs to {' or '.join(homes)}" if is_elsewhere else describe_nearest(key, valid)
-
-
-def describe_nearest(name: str, valid: Sequence[str]) -> str:
-    """Describe what an unknown name may have been meant for: the nearest valid one, else all."""
-    near = get_close_matches(name.lower(), valid, n=1)
-    return f'did you mean "{near[0]}"?' if near else "valid here: " + ", ".join(valid)
 
 
 def _value_at(data: Any, location: Location) -> Any:
@@ -328,15 +324,14 @@ def parse_case_text(text: str, path: Path) -> Case:
 
     ``path`` names the file in messages. Raises InputError as ``load_case`` does.
     """
-    data = parse_toml(text, path)
-    word = data.get("discontinuity")
-    if isinstance(word, str) and word != DETECT:
-        raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
-    return convert_to_case(convert_shorthand(data), str(path))
+    return convert_to_case(convert_shorthand(parse_toml(text, path)), str(path))
 
 
 def convert_to_case(data: Mapping[str, Any], source: str) -> Case:
     """Validate what a case says, its shorthand written out; InputError has a line for each fault, after ``source``."""
+    word = data.get("discontinuity")
+    if isinstance(word, str):
+        raise InputError(f'{source}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
     try:
         return _validate(data)
     except ValidationError as error:
