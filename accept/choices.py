@@ -206,8 +206,8 @@ def _measure_swept(name: str, displacement: Displacement, noise: float, side: in
     folder = scale.folder("sweep") / f"{name.replace(' ', '_')}_{noise:g}"
     case = _write_case(name, displacement, noise, side, folder)
     begin = time.process_time()
-    small = {"element_sizes": (12.0, 16.0), "wavelengths": (0.0, 64.0)}
-    swept = {"element_sizes": ELEMENTS, "wavelengths": LENGTHS}
+    small = {"element_sizes": (12.0, 16.0), "cut_off_wavelengths": (0.0, 64.0)}
+    swept = {"element_sizes": ELEMENTS, "cut_off_wavelengths": LENGTHS}
     sweep = ddic.choose_regularization(case, **(small if scale.smoke else swept))
     seconds = time.process_time() - begin
     truth = displacement(sweep.points)
@@ -221,7 +221,8 @@ def _measure_swept(name: str, displacement: Displacement, noise: float, side: in
                 f"{errors[best]:.5f} px; ratio {ratio:.3f} (of the least that the residual predicts "
                 f"{errors[predicted] / errors[best]:.3f}); {seconds:.0f} s")
     append_result("sweep_runs", {"field": name, "noise": noise, "trials": [
-        {"element_size": trial.candidate.element_size, "wavelength": trial.candidate.wavelength, "error_px": error,
+        {"element_size": trial.candidate.element_size, "wavelength": trial.candidate.cut_off_wavelength,
+         "error_px": error,
          "virtual_error_px": trial.virtual_error, "predicted_error_px": trial.predicted_error,
          "failure": trial.failure} for trial, error in zip(sweep.trials, errors.tolist(), strict=True)]})
     return Row(f"sweep, {name}, {side} x {side} px, noise {noise:g} grey levels: error of the recommended settings",
@@ -239,7 +240,7 @@ def _write_case(name: str, displacement: Displacement, noise: float, side: int, 
     middle, radius = (side - 1) / 2, side / 10
     is_holed = name == "Kirsch"
     pair = ddic.make_synthetic_pair(displacement, (side, side), noise=noise,
-                                    hole=((middle, middle), radius) if is_holed else None)
+                                    hole={"center": (middle, middle), "radius": radius} if is_holed else None)
     folder.mkdir(parents=True, exist_ok=True)
     for image, grey in zip(("reference", "deformed"), pair, strict=True):
         tifffile.imwrite(folder / f"{image}.tif", grey)

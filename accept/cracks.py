@@ -50,7 +50,7 @@ def measure_crack(scale: Scale) -> list[Row]:
     rows = []
     for noise in (0.0, 2.0):
         pair = render_crack(crack, size, noise)
-        result = ddic.measure(pair, mesh_inside(size, ELEMENT), options=options)
+        result = ddic.measure(pair, mesh_inside(size, ELEMENT), **options)
         found = ddic.find_crack_tip(result)
         away = float(np.linalg.norm(found.position - crack.tip))
         off = found.opening_factor / crack.opening_factor - 1
@@ -77,7 +77,7 @@ def _compare_tip_functions(crack: Crack, size: int, noise: float, pair: tuple[ND
     for tip_functions in (False, True):
         line = {"vertices": [(crack.tip - 2 * size * crack.along).tolist(), crack.tip.tolist()],
                 "tip_functions": tip_functions}
-        result = ddic.measure(pair, mesh_inside(size, ELEMENT), options={**MONOLITHIC, "discontinuity": [line]})
+        result = ddic.measure(pair, mesh_inside(size, ELEMENT), **MONOLITHIC, discontinuity=[line])
         errors[tip_functions] = float(np.sqrt(np.mean((result.at(points) - crack.displacement(points)) ** 2)))
     append_result("xdic_runs", {"check": "crack", "noise": noise, "rms_near_tip_px": errors[True],
                                 "rms_without_functions_px": errors[False]})
@@ -168,7 +168,7 @@ class _Pictured:
         regularization = {} if cut_off is None else {"regularization": {"cut_off_wavelength": cut_off}}
         options = {**MONOLITHIC, **regularization, "discontinuity": [line]}
         for pair in self.pairs:
-            yield ddic.measure(pair, mesh_inside(self.size, ELEMENT), options=options)
+            yield ddic.measure(pair, mesh_inside(self.size, ELEMENT), **options)
 
     def describe(self) -> str:
         """Say in a row what every pair is measured with."""
@@ -309,7 +309,7 @@ def measure_fracture(scale: Scale) -> list[Row]:
                "correlation": {"spoilt_pixels": "keep"}}
     residuals, openings = [], []
     for line in ([], [{"vertices": FRACTURE_LINE}]):
-        with ddic.prepare(frames[0], mesh, options={**options, "discontinuity": line}) as session:
+        with ddic.prepare(frames[0], mesh, **options, discontinuity=line) as session:
             results = [session.measure(frame) for frame in frames[1:]]
         residuals.append([_residual_on_line(result) for result in results])
         if line:
@@ -340,7 +340,7 @@ def measure_failed_hole(scale: Scale) -> list[Row]:
     told: dict[str, str] = {}
     for name, lines in (("continuous", []), ("two lines", [{"vertices": line} for line in HOLE_LINES])):
         try:
-            result = ddic.measure(pair, mesh, options={**options, "discontinuity": lines})
+            result = ddic.measure(pair, mesh, **options, discontinuity=lines)
         except ConvergenceError as error:
             told[name] = f"does not converge, {_RESIDUAL.findall(str(error))[0]} grey levels"
             continue

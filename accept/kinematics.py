@@ -124,8 +124,7 @@ def main(example: str, method: str, sections: str, output: str) -> None:
     settings = json.loads(sections)
     cut = {} if method == "monolithic" else {"subdomains": N_SUBDOMAINS}
     settings["solver"] = {**settings.get("solver", {}), "method": method, **cut}
-    options = ddic.Options(settings, module.kinematics)
-    result = ddic.measure(module.IMAGES, module.MESH, options=options)
+    result = ddic.measure(module.IMAGES, module.MESH, kinematics=module.kinematics, **settings)
     if MPI.COMM_WORLD.rank == 0:
         np.save(output, result.displacement)
 

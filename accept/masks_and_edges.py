@@ -63,7 +63,7 @@ def measure_masks(scale: Scale) -> list[Row]:
     for name, garbage in under.items():
         pair = [_spoil(image, mask, garbage) for image, mask in zip((reference, deformed), masks, strict=True)]
         given = [ddic.Image(image, mask) for image, mask in zip(pair, masks, strict=True)]
-        fields[name] = ddic.measure(given, mesh, options=options).displacement
+        fields[name] = ddic.measure(given, mesh, **options).displacement
     distance = np.abs(mesh.nodes - (low + high) / 2).max(axis=1) - (high - low) / 2
     ring = (distance > -8) & (distance < 40)
     made = {name: np.linalg.norm(field - fields["nothing"], axis=1)

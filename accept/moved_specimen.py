@@ -70,7 +70,7 @@ class Specimen:
         if wavelength:
             options["regularization"] = {"cut_off_wavelength": wavelength}
         return ddic.measure((self.reference, self.move(deformed, shift)), ddic.structured_mesh(self.box, ELEMENT),
-                            options=options)
+                            **options)
 
 
 def displace(points: NDArray[np.float64]) -> NDArray[np.float64]:

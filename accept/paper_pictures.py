@@ -73,7 +73,7 @@ Pair = tuple[NDArray[Any], NDArray[Any]]
 
 
 def _measure(path: Path, pair: Pair, mesh: ddic.Mesh, options: Mapping[str, Any]) -> Case:
-    ddic.measure(pair, mesh, options=options, output=str(path))
+    ddic.measure(pair, mesh, **options, output=str(path))
     height, width = pair[0].shape
     return read_result(path), Preview(pair[0], 1, width, height)
 

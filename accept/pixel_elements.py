@@ -138,9 +138,8 @@ def measure_pixels(pair: Pair, side: int, regularization: dict[str, Any] | None 
         In memory.
     """
     region = find_region(len(pair[0]), side)
-    return ddic.measure(pair, options={"pgd": pgd, "start": {"pyramid": pyramid},
-                                       "regularization": regularization or {"cut_off_wavelength": WAVELENGTH},
-                                       "mesh": {"structured": {"region": region, "element_size": 1}}})
+    return ddic.measure(pair, mesh={"structured": {"region": region, "element_size": 1}}, pgd=pgd,
+                        start={"pyramid": pyramid}, regularization=regularization or {"cut_off_wavelength": WAVELENGTH})
 
 
 def timed(measure: Callable[[], ddic.Result]) -> Timed:
@@ -189,9 +188,8 @@ def measure_by_dual(pair: Pair, side: int) -> ddic.Result:
     """
     blocks = max(1, round(side / SUBDOMAIN_SIDE))
     mesh = ddic.structured_mesh(find_region(len(pair[0]), side), 1)
-    return ddic.measure(pair, mesh, options={"regularization": ALL_CONTROLLED,
-                                             "solver": {"method": "dual", "partition": "blocks",
-                                                        "blocks": [blocks, blocks]}})
+    return ddic.measure(pair, mesh, regularization=ALL_CONTROLLED, solver={"method": "dual", "partition": "blocks",
+                                                        "blocks": [blocks, blocks]})
 
 
 def measure_against_dual(scale: Scale) -> list[Row]:

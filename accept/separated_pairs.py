@@ -213,8 +213,8 @@ def measure_pgd(pair: Pair, element: float, pgd: dict[str, Any]) -> ddic.Result:
     Result
         In memory.
     """
-    return ddic.measure(pair, options={"pgd": pgd, "start": {"pyramid": False},
-                                       "mesh": {"structured": {"region": REGION, "element_size": element}}})
+    return ddic.measure(pair, mesh={"structured": {"region": REGION, "element_size": element}}, pgd=pgd,
+                        start={"pyramid": False})
 
 
 def count_to_eta(result: ddic.Result) -> int | None:
@@ -231,7 +231,7 @@ def measure_corrections(scale: Scale) -> list[Row]:
     for kind in KINDS[:1] if scale.smoke else KINDS:
         pair = render(plate, kind)
         published, default = measure_pgd(pair, ELEMENT, PUBLISHED), measure_pgd(pair, ELEMENT, {})
-        q4 = ddic.measure(pair, ddic.structured_mesh(REGION, ELEMENT), options={"solver": {"method": "assembled"}})
+        q4 = ddic.measure(pair, ddic.structured_mesh(REGION, ELEMENT), solver={"method": "assembled"})
         n, most = count_to_eta(published), MOST.get(kind)
         errors = {name: measure_rms(result.at(points) - known)
                   for name, result in (("published", published), ("default", default), ("Q4", q4))}
@@ -264,7 +264,7 @@ def _compare(name: str, sizes: tuple[int, ...], pairs: list[tuple[Pair, Plate | 
         for pair, field in pairs:
             known = field.displacement(points)
             pgd = measure_pgd(pair, size, COMPLETE)
-            q4 = ddic.measure(pair, mesh, options={"solver": {"method": "assembled"}})
+            q4 = ddic.measure(pair, mesh, solver={"method": "assembled"})
             found.append((measure_rms(pgd.at(points) - known, spread=name == "uncertainty"),
                           measure_rms(q4.at(points) - known, spread=name == "uncertainty")))
         of_pgd.append(np.mean([a for a, _ in found]))
@@ -308,7 +308,7 @@ def measure_separated_crack(scale: Scale) -> list[Row]:
         error = measure_rms(result.at(points) - known)
         found[name] = (len(result.corrections["correction"]), count_to_eta(result), error)
     q4 = ddic.measure(pair, ddic.structured_mesh(REGION, element),
-                      options={"solver": {"method": "assembled"}, "start": {"pyramid": False}})
+                      solver={"method": "assembled"}, start={"pyramid": False})
     n_q4, error_q4 = len(q4.gauss_newton["iteration"]), measure_rms(q4.at(points) - known)
     append_result("pgd_runs", {"check": "crack", **found, "q4": [n_q4, error_q4]})
     listed = "; ".join(f"{name}: {n} corrections ({eta} to eta < 1e-3), error {error:.4f} px"

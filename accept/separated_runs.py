@@ -34,11 +34,11 @@ def measure_separated_openhole(scale: Scale) -> list[Row]:
     points, rows = list_pixels(REGION), []
     for size in SMOKE_SIZES if scale.smoke else SIZES:
         mesh = ddic.structured_mesh(REGION, size)
-        q4 = ddic.measure(pair, mesh, options={"solver": {"method": "assembled"}})
+        q4 = ddic.measure(pair, mesh, solver={"method": "assembled"})
         known, differences, counts = q4.at(points), {}, {}
         for name, pgd in (("default", {}), ("published", {"update": False, "stop_at_noise": False}),
                           ("no stop at noise", {"stop_at_noise": False})):
-            result = ddic.measure(pair, mesh, options={"pgd": pgd})
+            result = ddic.measure(pair, mesh, pgd=pgd)
             differences[name] = float(np.linalg.norm(result.at(points) - known) / np.linalg.norm(known))
             counts[name] = len(result.corrections["correction"])
         append_result("pgd_runs", {"check": "openhole", "size": size, "differences": differences, "counts": counts})

@@ -97,9 +97,8 @@ def _measure(scale: Scale, images: _Images) -> _Errors:
             opened = straight_line(size, slip)
             pair = render(opened, size, speckle=images.speckle, bits=images.bits)
             mesh = mesh_inside(size, element)
-            continuous = ddic.measure(pair, mesh, options=MONOLITHIC)
-            enriched = ddic.measure(pair, mesh, options={
-                **MONOLITHIC, "discontinuity": opened.sections("tangential")})
+            continuous = ddic.measure(pair, mesh, **MONOLITHIC)
+            enriched = ddic.measure(pair, mesh, **MONOLITHIC, discontinuity=opened.sections("tangential"))
             found["continuous"].append(find_field_error(continuous, opened))
             found["enriched"].append(find_field_error(enriched, opened))
             found["slip"].append(find_opening_error(enriched, opened))
@@ -144,7 +143,7 @@ def measure_bolted(scale: Scale) -> list[Row]:
     for _ in range(SMOKE_REPEATS if scale.smoke else REPEATS):
         for name, options in (("enriched", enriched), ("continuous", continuous)):
             begin = time.process_time()
-            result = ddic.measure(pair, mesh, options=options)
+            result = ddic.measure(pair, mesh, **options)
             runs[name].append((len(result.gauss_newton["iteration"]), time.process_time() - begin))
             if name == "enriched":
                 error = find_field_error(result, opened)
@@ -167,7 +166,7 @@ def measure_bolted(scale: Scale) -> list[Row]:
 def _describe_one_level(pair: tuple[Any, Any], mesh: ddic.Mesh, options: Mapping[str, Any]) -> str:
     """How a measurement fails; empty where it does not."""
     try:
-        ddic.measure(pair, mesh, options=options)
+        ddic.measure(pair, mesh, **options)
     except (ConvergenceError, SingularSubdomainError) as error:
         return str(error).split(";")[0]
     return ""
@@ -226,7 +225,7 @@ def _band(angle: float, height: float) -> Opened:
 
 def _find(pair: tuple[NDArray[np.generic], NDArray[np.generic]]) -> Array | None:
     """The line by which a pair is measured, (2, 2); None where there is none."""
-    result = ddic.measure(pair, mesh_inside(SIZE, BAND_ELEMENT), options={**MONOLITHIC, "discontinuity": "detect"})
+    result = ddic.measure(pair, mesh_inside(SIZE, BAND_ELEMENT), **MONOLITHIC, discontinuity="detect")
     lines = json.loads(result.attributes["case"]["json"])["discontinuity"]
     return np.array(lines[0]["vertices"]) if lines else None
 

@@ -307,10 +307,10 @@ def _measure(name: str, pair: SpoiltPair, options: dict[str, Any]) -> Found | st
     mesh = ddic.structured_mesh(REGION, ELEMENT)
     clean = draw_clean()
     try:
-        result = ddic.measure((pair.reference, pair.deformed), mesh, options=options)
+        result = ddic.measure((pair.reference, pair.deformed), mesh, **options)
     except ddic.DdicError as error:
         return str(error).splitlines()[0]
-    at_rest = ddic.measure((clean.reference, clean.deformed), mesh, options=options)
+    at_rest = ddic.measure((clean.reference, clean.deformed), mesh, **options)
     n_pixels, n_hidden = pair.count_hidden(mesh)
     cells = mesh.cells
     is_touched = n_hidden > 0

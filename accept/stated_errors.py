@@ -73,7 +73,7 @@ def measure_uncertainty(scale: Scale) -> list[Row]:
     rows = []
     for name, settings in WHITE_SETTINGS.items():
         pair = _add_noise(clean, np.random.default_rng(1))
-        found = ddic.measure(pair, mesh, options={**settings, "output": {"uncertainty": True}})
+        found = ddic.measure(pair, mesh, **settings, output={"uncertainty": True})
         repeated = _find_scatter(clean, mesh, settings, n_repetitions)
         compared = {kind: _compare_deviations(found, names, repeated[kind]) for kind, names in DEVIATIONS.items()}
         times = _time(pair, mesh, settings)
@@ -116,7 +116,7 @@ def _find_scatter(clean: tuple[Image, Image], mesh: Any, settings: Mapping[str, 
     random = np.random.default_rng(2)
     displacements, strains = [], []
     for _ in range(n):
-        result = ddic.measure(_add_noise(clean, random), mesh, options=settings)
+        result = ddic.measure(_add_noise(clean, random), mesh, **settings)
         displacements.append(result.displacement)
         strains.append(result.point_data["nodal_strain_infinitesimal"][:, [0, 1, 3]])
     return {"displacement": np.std(displacements, axis=0, ddof=1), "strain": np.std(strains, axis=0, ddof=1)}
@@ -134,7 +134,7 @@ def _time(pair: tuple[Image, Image], mesh: Any, settings: Mapping[str, Any]) -> 
     for _ in range(N_ROUNDS):
         for asked, of_kind in seconds.items():
             begin = time.process_time()
-            ddic.measure(pair, mesh, options={**settings, "output": {"uncertainty": asked}})
+            ddic.measure(pair, mesh, **settings, output={"uncertainty": asked})
             of_kind.append(time.process_time() - begin)
     return min(seconds[True]) / min(seconds[False])
 
@@ -354,7 +354,7 @@ def _measure(setting: Setting, seed: int) -> Measured | None:
             for image in (f, g)]
     mesh = ddic.structured_mesh((MARGIN, MARGIN, SIDE - MARGIN, SIDE - MARGIN), ELEMENT)
     try:
-        found = ddic.measure(pair, mesh, options={**setting.options, "output": {"uncertainty": True}})
+        found = ddic.measure(pair, mesh, **setting.options, output={"uncertainty": True})
     except ConvergenceError:
         return None
     error = found.displacement - setting.move(found.mesh.nodes)

@@ -82,9 +82,9 @@ def measure_verdicts(scale: Scale) -> list[Row]:
 
 def _find_verdict(trial: Trial, wavelength: float | None) -> str:
     """The word of the verdict; that of the last field where it does not converge or is refused."""
-    options = {} if wavelength is None else {"regularization": {"cut_off_wavelength": wavelength}}
+    regularization = None if wavelength is None else {"cut_off_wavelength": wavelength}
     try:
-        result = ddic.measure(trial.draw(), trial.mesh(), options=options)
+        result = ddic.measure(trial.draw(), trial.mesh(), regularization=regularization)
     except ddic.DdicError:
         return DISTRUST
     return "none" if result.verdict is None else result.verdict.word

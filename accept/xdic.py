@@ -59,9 +59,8 @@ def measure_uniform(scale: Scale) -> list[Row]:
                 opened = straight_line(size, 0.0, shift)
                 pair = render(opened, size, noise=noise, seed=seed)
                 mesh = mesh_inside(size, element)
-                continuous = ddic.measure(pair, mesh, options=MONOLITHIC)
-                enriched = ddic.measure(pair, mesh, options={
-                    **MONOLITHIC, "discontinuity": opened.sections("tangential")})
+                continuous = ddic.measure(pair, mesh, **MONOLITHIC)
+                enriched = ddic.measure(pair, mesh, **MONOLITHIC, discontinuity=opened.sections("tangential"))
                 of_continuous.append(find_field_error(continuous, opened, spread=True))
                 of_enriched.append(find_field_error(enriched, opened, spread=True))
             spreads[element] = (float(np.mean(of_continuous)), float(np.mean(of_enriched)))
@@ -94,8 +93,7 @@ def measure_shapes(scale: Scale) -> list[Row]:
              "a bend": (bent, mesh_inside(size, element)), "two lines, one across the edge of a hole": (two, hole)}
     errors = {}
     for name, (opened, mesh) in cases.items():
-        result = ddic.measure(render(opened, size), mesh, options={
-            **MONOLITHIC, "discontinuity": opened.sections("both")})
+        result = ddic.measure(render(opened, size), mesh, **MONOLITHIC, discontinuity=opened.sections("both"))
         errors[name] = find_opening_error(result, opened)
     bound = SHAPES_FACTOR * errors["one line on Q4"]
     return [Row(f"other lines and meshes, {element}-px elements, any opening, {describe_settings(MONOLITHIC)}: RMS "
@@ -137,7 +135,7 @@ def main(size: str) -> None:
             for method in ("assembled", "dual", "conjugate_gradient"):
                 settings = {**EXACT, **regularization, "solver": {"method": method, **LINEAR},
                             "discontinuity": opened.sections(opening)}
-                fields[method] = ddic.measure(pair, mesh, options=settings).at(points)
+                fields[method] = ddic.measure(pair, mesh, **settings).at(points)
             for method in ("dual", "conjugate_gradient"):
                 difference = float(np.nanmax(np.abs(fields[method] - fields["assembled"])))
                 if MPI.COMM_WORLD.rank == 0:

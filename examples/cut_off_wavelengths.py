@@ -36,7 +36,7 @@ _, still = ddic.make_synthetic_pair(np.zeros_like, SIZE, noise=3, seed=4)
 mesh = ddic.structured_mesh((20, 20, 380, 380), element_size=10)
 print("l_c [px]  noise [px]  left of the wave")
 for l_c in (30, 60, 115, 230):
-    with ddic.prepare(reference, mesh, options={"regularization": {"cut_off_wavelength": l_c}}) as session:
+    with ddic.prepare(reference, mesh, regularization={"cut_off_wavelength": l_c}) as session:
         noise = session.measure(still)
         measured = session.measure(moved)
     # Away from the sides of the mesh, where equilibrium is not known, a whole number of waves.

@@ -44,7 +44,7 @@ MESH = ddic.structured_mesh((20, 20, 280, 180), element_size=15)
 if __name__ == "__main__":
     method = sys.argv[1] if len(sys.argv) > 1 else "dual"
     solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
-    result = ddic.measure(IMAGES, MESH, options=ddic.Options({"solver": solver}, kinematics))
+    result = ddic.measure(IMAGES, MESH, kinematics=kinematics, solver=solver)
     u_y = result.displacement[:, 1]
     held = np.arange(result.mesh.n_nodes) % HELD_EVERY == 0
     if MPI.COMM_WORLD.rank == 0:

@@ -33,9 +33,8 @@ def take_picture(strain: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 reference, _ = take_picture(0.0)
 mesh = ddic.structured_mesh((20, 20, 230, 230), element_size=15)
-options = {"regularization": {"cut_off_wavelength": 60}, "solver": {"subdomains": 4}}
 
-with ddic.prepare(reference, mesh, options=options) as session:
+with ddic.prepare(reference, mesh, regularization={"cut_off_wavelength": 60}, solver={"subdomains": 4}) as session:
     for number in range(1, 6):
         _, deformed = take_picture(0.002 * number)
         result = session.measure(deformed, from_last=number > 1)

@@ -33,8 +33,8 @@ deformed = np.rint(light * deformed).astype(np.uint8)
 mesh = ddic.structured_mesh((20, 20, 280, 220), element_size=20)
 for correction in ("none", "global", "element", "auto"):
     # All pixels count, whatever their residual is, so that the corrections alone differ.
-    options = {"correlation": {"grey_correction": correction, "spoilt_pixels": "keep"}}
-    result = ddic.measure((reference, deformed), mesh, options=options)
+    result = ddic.measure((reference, deformed), mesh,
+                          correlation={"grey_correction": correction, "spoilt_pixels": "keep"})
     error = np.sqrt(((result.displacement - move(result.mesh.nodes)) ** 2).mean())
     residual = result.fields["residual_rms"].mean()
     print(f"{correction}: RMS error {error:.3f} px, residual {residual:.1f} grey levels")

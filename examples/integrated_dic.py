@@ -47,7 +47,7 @@ MESH = ddic.structured_mesh((20, 20, 300, 220), element_size=10)
 if __name__ == "__main__":
     method = sys.argv[1] if len(sys.argv) > 1 else "dual"
     solver = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
-    result = ddic.measure(IMAGES, MESH, options=ddic.Options({"solver": solver}, kinematics))
+    result = ddic.measure(IMAGES, MESH, kinematics=kinematics, solver=solver)
     found = np.linalg.lstsq(modes(result.mesh.nodes), result.displacement.ravel(), rcond=None)[0]
     error = np.abs(found - AMPLITUDES).max()
     if MPI.COMM_WORLD.rank == 0:

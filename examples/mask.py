@@ -40,7 +40,6 @@ runs = {
     "with a mask": (masked, "exclude"),
 }
 for name, (pair, spoilt_pixels) in runs.items():
-    options = {"regularization": regularization, "correlation": {"spoilt_pixels": spoilt_pixels}}
-    result = ddic.measure(pair, mesh, options=options)
+    result = ddic.measure(pair, mesh, regularization=regularization, correlation={"spoilt_pixels": spoilt_pixels})
     error = np.abs(result.displacement - shear(result.mesh.nodes)).max()
     print(f"{name}: largest error {error:.2f} px")

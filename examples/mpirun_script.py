@@ -25,8 +25,7 @@ def translation(points: NDArray[np.float64]) -> NDArray[np.float64]:
 # Files are better than arrays where images are large: each process then reads its own part.
 images = ddic.make_synthetic_pair(translation, (300, 240), noise=1, seed=11)
 mesh = ddic.structured_mesh((20, 20, 280, 220), element_size=20)
-options = {"regularization": {"cut_off_wavelength": 80}, "solver": {"subdomains": 4}}
-result = ddic.measure(images, mesh, options=options)
+result = ddic.measure(images, mesh, regularization={"cut_off_wavelength": 80}, solver={"subdomains": 4})
 
 if MPI.COMM_WORLD.rank == 0:
     u_x, u_y = result.displacement.mean(axis=0)

@@ -39,7 +39,7 @@ mesh = meshio.Mesh(nodes, [("triangle", Delaunay(nodes).simplices)])
 
 # Where the mesh lies in the image: its scale, and the pixel on which its origin falls.
 mapping = {"scale": PIXELS_PER_MM, "translation": CENTRE_PX}
-result = ddic.measure((reference, deformed), mesh, options={"mesh": {"mapping": mapping}})
+result = ddic.measure((reference, deformed), mesh={"file": mesh, "mapping": mapping})
 print(f"{result.mesh.n_nodes} nodes, {result.mesh.n_cells} triangles")
 
 on_rim = np.linalg.norm(nodes, axis=1) > 11.9

@@ -40,12 +40,11 @@ def structured(size: float) -> dict[str, Any]:
 
 if __name__ == "__main__":
     images = ddic.make_synthetic_pair(bend, (SIZE, SIZE), noise=2.0, seed=2)
-    fine = ddic.measure(images, options={"pgd": {}, "mesh": structured(1),
-                                         "regularization": {"cut_off_wavelength": 64}})
+    fine = ddic.measure(images, pgd={}, mesh=structured(1), regularization={"cut_off_wavelength": 64})
     separated = fine.separated
     assert separated is not None
     n_unknowns = 2 * separated.along_x.n_nodes * separated.along_y.n_nodes
     print(f"elements of 1 px: {n_unknowns} unknowns, {len(fine.corrections['gain'])} corrections, RMS error "
           f"{find_error(fine):.4f} px")
-    complete = ddic.measure(images, options={"pgd": {"stop_at_noise": False}, "mesh": structured(16)})
+    complete = ddic.measure(images, pgd={"stop_at_noise": False}, mesh=structured(16))
     print(f"elements of 16 px, every mode: RMS error {find_error(complete):.4f} px")

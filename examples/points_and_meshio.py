@@ -26,7 +26,7 @@ def stretch(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 images = ddic.make_synthetic_pair(stretch, (300, 240), noise=1, seed=8)
 mesh = ddic.structured_mesh((20, 20, 280, 220), element_size=20)
-result = ddic.measure(images, mesh, options={"regularization": {"cut_off_wavelength": 80}})
+result = ddic.measure(images, mesh, regularization={"cut_off_wavelength": 80})
 
 ends = np.array([[47.3, 111.8], [247.3, 111.8]])  # x, y of each point, pixels
 length = np.linalg.norm(ends[1] - ends[0])

@@ -21,8 +21,7 @@ import ddic
 
 images = ddic.make_synthetic_pair(lambda points: 0.01 * (points - 100), (240, 200), noise=1, seed=13)
 mesh = ddic.structured_mesh((20, 20, 220, 180), element_size=22)
-options = {"images": {"pixel_size": 0.05, "length_unit": "mm"}}
-measured = ddic.measure(images, mesh, options=options, output="result.vtkhdf")
+measured = ddic.measure(images, mesh, images={"pixel_size": 0.05, "length_unit": "mm"}, output="result.vtkhdf")
 
 result = ddic.open("result.vtkhdf")
 print(f"fields at {result.mesh.n_nodes} nodes: {', '.join(n for n in result.point_data if 'nodal' not in n)}")

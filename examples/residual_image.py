@@ -28,7 +28,7 @@ drop = np.hypot(columns - 192, rows - 79) < 5
 deformed[drop] = 20
 
 mesh = ddic.structured_mesh((20, 20, 280, 180), element_size=20)
-result = ddic.measure((reference, deformed), mesh, options={"regularization": {"cut_off_wavelength": 80}})
+result = ddic.measure((reference, deformed), mesh, regularization={"cut_off_wavelength": 80})
 
 # In the reference image's pixels; nan outside the mesh.
 residual = result.residual_image

@@ -42,7 +42,7 @@ if __name__ == "__main__":
     mesh = ddic.structured_mesh((24, 24, 376, 376), 32)
     continuous = ddic.measure(images, mesh)
     line = {"vertices": LINE, "opening": "tangential"}
-    extended = ddic.measure(images, mesh, options={"discontinuity": [line]})
+    extended = ddic.measure(images, mesh, discontinuity=[line])
 
     on_line = MIDDLE + np.linspace(-150, 150, 61)[:, None] * TANGENT
     apart = (extended.at(on_line + 0.1 * NORMAL) - extended.at(on_line - 0.1 * NORMAL)) @ TANGENT

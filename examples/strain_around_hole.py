@@ -21,10 +21,10 @@ from ddic.synth.fields import Kirsch
 CENTRE, RADIUS = (199.5, 199.5), 50.0
 plate = Kirsch(center=CENTRE, radius=RADIUS, strain=0.005)
 
-images = ddic.make_synthetic_pair(plate, (400, 400), noise=2, seed=12, hole=(CENTRE, RADIUS))
+images = ddic.make_synthetic_pair(plate, (400, 400), noise=2, seed=12, hole={"center": CENTRE, "radius": RADIUS})
 mesh = ddic.structured_mesh((25, 25, 375, 375), element_size=14, circles=[(CENTRE, RADIUS)])
 regularization = {"cut_off_wavelength": 45, "not_controlled": ["left", "right", "top", "bottom"]}
-result = ddic.measure(images, mesh, options={"regularization": regularization})
+result = ddic.measure(images, mesh, regularization=regularization)
 
 kinds = {block.type.name: len(block.cells) for block in result.mesh.cell_blocks}
 print(f"mesh: {kinds['Q4']} Q4 and {kinds['T3']} T3 elements")

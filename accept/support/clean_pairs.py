@@ -351,7 +351,7 @@ def _measure(case: CleanCase, pair: Pair, mesh: ddic.Mesh, correlation: dict[str
     if case.cut_off is not None:
         options["regularization"] = {"cut_off_wavelength": case.cut_off}
     begin = time.process_time()
-    result = ddic.measure(pair, mesh, options=options)
+    result = ddic.measure(pair, mesh, **options)
     seconds = time.process_time() - begin
     return Measured(result.displacement, result.cell_data["excluded"], int(result.cell_data["residual_n_pixels"].sum()),
                     int((result.gauss_newton["of_slow_nodes"] == 0).sum()), seconds)

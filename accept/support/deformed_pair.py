@@ -176,7 +176,7 @@ def measure_deformed(pair: Pair, mesh: ddic.Mesh, deformation: Deformation,
     deformation : Deformation
         The truth.
     options : dict, optional
-        As ``ddic.measure`` takes them.
+        Sections, as ``ddic.measure`` takes them.
     start : Result or pair of arrays, optional
         As ``ddic.measure`` takes it.
 
@@ -186,7 +186,7 @@ def measure_deformed(pair: Pair, mesh: ddic.Mesh, deformation: Deformation,
         Errors, or the refusal.
     """
     try:
-        result = ddic.measure(pair, mesh, options=options or {}, start=start)
+        result = ddic.measure(pair, mesh, **{"start": start, **(options or {})})
     except ddic.DdicError as error:
         return Measured(np.nan, np.nan, str(error).splitlines()[0])
     off = result.at(mesh.nodes) - deformation.displacement(mesh.nodes)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ddic.version import __version__
 
 if TYPE_CHECKING:
-    from ddic.api.given import Image, Options
+    from ddic.api.given import Image
     from ddic.api.measure import Session, measure, prepare
     from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty
     from ddic.api.synthetic import make_synthetic_pair
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from ddic.results.sweep import Candidate, Sweep, Trial
 
 _PUBLIC = {
-    "api.given": ("Image", "Options"),
+    "api.given": ("Image",),
     "api.measure": ("Session", "measure", "prepare"),
     "api.studies": ("Uncertainty", "choose_regularization", "estimate_uncertainty"),
     "api.synthetic": ("make_synthetic_pair",),
@@ -94,7 +94,6 @@ __all__ = [
     "Metrology",
     "NodalRegion",
     "Opening",
-    "Options",
     "PointProbe",
     "Reading",
     "RegionKinematics",

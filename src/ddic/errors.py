@@ -3,6 +3,7 @@
 import errno
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -55,6 +56,19 @@ class Problems:
         """Raise all of them as one InputError, where there are any."""
         if self.lines:
             raise InputError(self.lines)
+
+
+def describe_nearest(name: str, valid: Sequence[str]) -> str:
+    """Describe what an unknown name may have been meant for: the nearest valid one, else all."""
+    near = get_close_matches(name.lower(), valid, n=1)
+    return f'did you mean "{near[0]}"?' if near else "valid here: " + ", ".join(valid)
+
+
+def refuse_unknown_arguments(given: Iterable[str], valid: Sequence[str]) -> None:
+    """Refuse arguments of other names than the valid ones, with an InputError that has a line for each."""
+    unknown = [f"{name}: unknown argument; {describe_nearest(name, valid)}" for name in given if name not in valid]
+    if unknown:
+        raise InputError(unknown)
 
 
 class ConvergenceError(DdicError):

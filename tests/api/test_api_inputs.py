@@ -71,9 +71,9 @@ def test_masks(pair: Pair, mesh: ddic.Mesh, mask: Any, words: str) -> None:
     ((1,), "1 are given, two expected: the reference image and the deformed one"),
     ((1, 2, 3), "3 are given, two expected"),
     (np.ones((140, 160)), "one array is given, a pair expected"),
-    (None, "NoneType given; give a case file, a case or a pair"),
+    (None, "images.reference: this key is missing; give a case file, a pair of images, or"),
     (ddic.Image(np.ones((140, 160))), "Image given; give a case file"),
-    ({"reference": 1}, "dict given; give a case file"),
+    ({"images": 1}, "images: a mapping is given; give the sections of a case as arguments, ddic.measure(**case)"),
 ])
 def test_pairs(mesh: ddic.Mesh, source: Any, words: str) -> None:
     assert words in told(lambda: ddic.measure(source, mesh))
@@ -86,7 +86,7 @@ def change(of_nodes: Callable[[Any], Any] = lambda nodes: nodes, of_cells: Calla
 
 @pytest.mark.parametrize(("given", "words"), [
     (lambda mesh: None, "mesh: none is given; ddic.structured_mesh makes one, meshio reads one"),
-    (lambda mesh: "mesh.msh", "mesh: str is no mesh; give one of ddic.structured_mesh or meshio"),
+    (lambda mesh: "no_such.msh", "no_such.msh: no such mesh file"),
     (lambda mesh: 3, "mesh: int is no mesh"),
     (lambda mesh: (mesh.nodes,), "a tuple of 1, two arrays expected"),
     (lambda mesh: (mesh.nodes, mesh.cells, 1), "a tuple of 3, two arrays expected"),
@@ -138,47 +138,83 @@ def test_mask_of_a_structured_mesh_may_be_an_image() -> None:
     assert ddic.structured_mesh((0, 0, 99, 99), 11, mask=mask).nodes[:, 0].max() < 60
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    ({"regularisation": {}}, 'regularisation: unknown key; did you mean "regularization"?'),
+@pytest.mark.parametrize(("sections", "words"), [
+    ({"regularisation": {}}, 'regularisation: unknown argument; did you mean "regularization"?'),
+    ({"msh": 3}, 'msh: unknown argument; did you mean "mesh"?'),
+    ({"discontinuity": "find"}, 'discontinuity = "find": write "detect", or [[discontinuity]] sections'),
+    ({"discontinuity": {"vertices": []}}, "one section is given, a list of them expected: [[discontinuity]], or [{"),
+    ({"kinematic": None}, 'kinematic: unknown argument; did you mean "kinematics"?'),
+    ({"options": {}}, "options: unknown argument; valid here: title, images, near, mesh, discontinuity"),
     ({"regularization": {"cutoff": 3}}, "regularization.cutoff: unknown key; valid here: cut_off_wavelength, eta"),
     ({"solver": {"subdomains": "4"}}, 'solver.subdomains = "4": expected a whole number'),
     ({"solver": {"subdomains": {1}}}, "a value of type set; give numbers, texts, lists and mappings"),
     ({"solver": {"subdomains": 1000}}, "the mesh has only 30 cells; ask for fewer subdomains"),
     ({"solver": 3}, "solver = 3: expected a section"),
-    ({3: 4}, "3: unknown key"),
-    ({("a", "b"): 4}, "keys must be str"),
+    ({"solver": {("a", "b"): 4}}, "keys must be str"),
     ({"regularization": {"cut_off_wavelength": np.nan}}, "cut_off_wavelength = nan: expected a finite number"),
     ({"regularization": {"cut_off_wavelength": -3}}, "expected more than 0"),
     ({"regularization": {"cut_off_wavelength": 30}}, "carries no wave shorter than 3 elements; give at least 60"),
     ({"regularization": {"cut_off_wavelength": 1e6}}, "give at most 2e+04"),
     ({"regularization": {"cut_off_wavelength": 80, "not_controlled": ["lefft"]}}, 'did you mean "left"?'),
     ({"near": [{}]}, "near fields need a case"),
-    ({"output": {"file": "a"}}, "output.file is for case files; give what it says as an argument"),
-    ({"images": {"reference": "a"}}, "images.reference is for case files"),
-    ({"images": {"exclude_saturated": True}}, "images.exclude_saturated is for case files"),
+    ({"series": {}}, "[series] goes with several images.deformed"),
+    ({"images": {"reference": "a"}}, "images.reference: images are the first argument, too; leave one of them out"),
+    ({"images": {"frame_interval": 2}}, "images.frame_interval goes with several images.deformed"),
     ({"images": 3}, "images = 3: expected a section"),
-    ({"mesh": {"structured": {}}}, "mesh.structured is for case files"),
-    ({"mesh": {"mapping": {"scale": 0}}}, "mesh.mapping.scale = 0: expected more than 0"),
+    ({"output": {"flip_y": 3}}, "output.flip_y = 3: expected true or false"),
+    ({"start": {"from_result": 3}}, "start: int given; give a result"),
+    ({"start": {"from_result": 3, "from_points": 4}}, "start.from_result and start.from_points: give one of them"),
     ({"start": {"from_result": "no_such.vtkhdf"}}, "no_such.vtkhdf: no such result file"),
     ({"solver": {"partition": "file", "partition_file": "no_such.txt"}}, "no_such.txt: cannot read"),
-    ([1], "options: list given; give sections and keys of a case file"),
-    ("case.toml", "options: str given"),
-    (ddic.Options(comm=3), "comm is of type int; give a communicator of mpi4py"),  # type: ignore[arg-type]
-    (ddic.Options(3), "options: int given"),  # type: ignore[arg-type]
+    ({"comm": 3}, "comm: int given; give a communicator of mpi4py"),
 ])
-def test_options(pair: Pair, mesh: ddic.Mesh, options: Any, words: str) -> None:
-    assert words in told(lambda: ddic.measure(pair, mesh, options=options))
+def test_sections(pair: Pair, mesh: ddic.Mesh, sections: dict[str, Any], words: str) -> None:
+    assert words in told(lambda: ddic.measure(pair, mesh, **sections))
 
 
-def test_all_wrong_options_are_told_at_once(pair: Pair, mesh: ddic.Mesh) -> None:
+@pytest.mark.parametrize(("mesh", "words"), [
+    ({"structured": {"element_size": 20}}, "mesh.structured.region: this key is missing"),
+    ({"structured": {"region": [20, 20, 140, 120], "element_size": 20, "cel": "T3"}}, 'did you mean "cell"?'),
+    ({"structured": {"region": [20, 20, 240, 120], "element_size": 20}}, "the mesh lies outside the image"),
+    ({"file": "no_such.msh"}, "no_such.msh: no such mesh file"),
+    ({"mapping": {"scale": 3}}, "mesh: none is given"),
+    ({"file": ([[0, 0]], [[0]]), "structured": {"region": [0, 0, 9, 9], "element_size": 3}},
+     "mesh.structured stands for the mesh; leave one of them out"),
+    ({"file": ([[0, 0]], [[0, 0, 0]]), "mapping": {"scale": 0}}, "mesh.mapping.scale = 0: expected more than 0"),
+])
+def test_sections_of_a_mesh(pair: Pair, mesh: Any, words: str) -> None:
+    assert words in told(lambda: ddic.measure(pair, mesh))
+
+
+def test_several_images_are_a_series(pair: Pair, mesh: ddic.Mesh) -> None:
+    images = {"reference": pair[0], "deformed": ["a.tif", "b.tif"]}
+    assert "images.deformed: several images; run a case file" in told(lambda: ddic.measure(images=images, mesh=mesh))
+
+
+def test_what_a_mesh_of_sections_is_refused_for(pair: Pair) -> None:
+    """As that of a case file, whether its cells are made one by one or not."""
+    for more in ({}, {"circles": [{"center": [80, 70], "radius": 15}]}):
+        mesh = {"structured": {"region": [20, 20, 140, 120], "element_size": 20, **more}}
+        assert "carries no wave shorter than 3 elements" in told(
+            lambda mesh=mesh: ddic.measure(pair, mesh, regularization={"cut_off_wavelength": 30}))
+        assert 'did you mean "left"?' in told(
+            lambda mesh=mesh: ddic.prepare(pair[0], mesh, regularization={"eta": 3.0, "not_controlled": ["lefft"]}))
+
+
+def test_keys_that_change_nothing_are_warned_of(pair: Pair, mesh: ddic.Mesh) -> None:
+    with pytest.warns(UserWarning, match=r"^arguments: solver.recycle changes nothing here: it goes with"):
+        ddic.measure(pair, mesh, solver={"method": "assembled", "recycle": False})
+
+
+def test_all_wrong_keys_are_told_at_once(pair: Pair, mesh: ddic.Mesh) -> None:
     with pytest.raises(ddic.InputError) as caught:
-        ddic.measure(pair, mesh, options={"solver": {"subdomain": 4, "threads": 0}})
+        ddic.measure(pair, mesh, solver={"subdomain": 4, "threads": 0})
     assert len(caught.value.problems) == 2
-    assert all(line.startswith("options: solver.") for line in caught.value.problems)
+    assert all(line.startswith("arguments: solver.") for line in caught.value.problems)
 
 
 @pytest.mark.parametrize(("kinematics", "words"), [
-    (3, "kinematics is of type int; give a function that makes it of the mesh"),
+    (3, "kinematics: int given; give a function that makes it of the mesh"),
     (lambda mesh: None, "the function returned NoneType; return a ddic.RegionKinematics"),
     (lambda mesh: ddic.NodalRegion(ddic.structured_mesh((0, 0, 9, 9), 3)), "made of another mesh"),
     (lambda mesh: ddic.LinearRegion(mesh, np.eye(3)), "the matrix has 3 rows, the mesh 84 displacements"),
@@ -187,13 +223,13 @@ def test_all_wrong_options_are_told_at_once(pair: Pair, mesh: ddic.Mesh) -> None
     (lambda mesh: ddic.LinearRegion(mesh, "abc"), "str is no matrix of numbers"),
 ])
 def test_own_kinematics(pair: Pair, mesh: ddic.Mesh, kinematics: Any, words: str) -> None:
-    assert words in told(lambda: ddic.measure(pair, mesh, options=ddic.Options(kinematics=kinematics)))
+    assert words in told(lambda: ddic.measure(pair, mesh, kinematics=kinematics))
 
 
 def test_matrix_of_kinematics_needs_its_mesh(pair: Pair, mesh: ddic.Mesh) -> None:
     made = ddic.NodalRegion(mesh)
     assert "give a function that makes it of the mesh" in told(
-        lambda: ddic.measure(pair, mesh, options=ddic.Options(kinematics=made)))  # type: ignore[arg-type]
+        lambda: ddic.measure(pair, mesh, kinematics=made))  # type: ignore[arg-type]
 
 
 def same_columns(n: int) -> Callable[[ddic.Mesh], ddic.LinearRegion]:
@@ -202,27 +238,28 @@ def same_columns(n: int) -> Callable[[ddic.Mesh], ddic.LinearRegion]:
 
 @pytest.mark.parametrize("method", ["dual", "assembled", "monolithic"])
 def test_unknowns_that_do_the_same_have_no_factor(pair: Pair, mesh: ddic.Mesh, method: str) -> None:
-    options = ddic.Options({"solver": {"method": method}}, same_columns(2))
     with pytest.raises((ddic.InputError, ddic.SingularSubdomainError)):
-        ddic.measure(pair, mesh, options=options)
+        ddic.measure(pair, mesh, kinematics=same_columns(2), solver={"method": method})
 
 
 def test_unknowns_that_do_the_same_share_the_displacement_by_conjugate_gradients(pair: Pair, mesh: ddic.Mesh) -> None:
     # Nothing is factorised: the displacement is determined, though the unknowns are not.
     settings = {"solver": {"method": "conjugate_gradient", "tolerance": 1e-12}, "gauss_newton": {"tolerance": 1e-10}}
-    once, twice = (ddic.measure(pair, mesh, options=ddic.Options(settings, same_columns(n))) for n in (1, 2))
+    once, twice = (ddic.measure(pair, mesh, kinematics=same_columns(n), **settings) for n in (1, 2))
     np.testing.assert_allclose(twice.displacement, once.displacement, atol=1e-8)
 
 
 def test_errors_of_the_users_own_function_come_through(pair: Pair, mesh: ddic.Mesh) -> None:
     with pytest.raises(ZeroDivisionError):
-        ddic.measure(pair, mesh, options=ddic.Options(kinematics=lambda given: 1 / 0))  # type: ignore[arg-type,return-value]
+        ddic.measure(pair, mesh, kinematics=lambda given: 1 / 0)  # type: ignore[arg-type,return-value]
 
 
 @pytest.mark.parametrize(("output", "words"), [
     ("no_such_folder/r.vtkhdf", "there is no folder no_such_folder; make it first"),
     (".", "is a folder; give the name of a file"),
     (3, "int given, the name of a file expected"),
+    ({"file": 3}, "int given, the name of a file expected"),
+    ({"fil": "r.vtkhdf"}, 'output.fil: unknown key; did you mean "file"?'),
 ])
 def test_outputs(pair: Pair, mesh: ddic.Mesh, output: Any, words: str) -> None:
     assert words in told(lambda: ddic.measure(pair, mesh, output=output))
@@ -239,7 +276,7 @@ def test_cases(case_file: Path, pair: Pair, mesh: ddic.Mesh) -> None:
     assert "no_such.toml: cannot read this case file" in told(lambda: ddic.measure("no_such.toml"))
     assert "no_such.toml: cannot read this case file" in told(lambda: ddic.prepare("no_such.toml"))
     assert "a case says its mesh and settings itself" in told(lambda: ddic.measure(case_file, mesh))
-    assert "a case says its mesh and settings itself" in told(lambda: ddic.measure(case_file, options={"solver": {}}))
+    assert "a case says its mesh and settings itself" in told(lambda: ddic.measure(case_file, solver={}))
     assert "there is no folder" in told(lambda: ddic.measure(case_file, output="no_such_folder/r.vtkhdf"))
     case_file.write_text(case_file.read_text().replace("deformed.tif", "missing.tif"))
     assert "missing.tif: no such image file" in told(lambda: ddic.measure(case_file))
@@ -281,6 +318,8 @@ def test_too_many_ranks_hide_no_other_mistake(case_file: Path, *, in_memory: boo
 def test_sessions(pair: Pair, mesh: ddic.Mesh) -> None:
     assert "mesh: none is given" in told(lambda: ddic.prepare(pair[0]))
     assert "mesh: none is given" in told(lambda: ddic.prepare("reference.tif"))
+    for given in ({"start": ([[50.0, 50.0]], [[0.0, 0.0]])}, {"output": "r.vtkhdf"}, {"images": {"deformed": pair[1]}}):
+        assert "give it to session.measure, of each" in told(lambda given=given: ddic.prepare(pair[0], mesh, **given))
     session = ddic.prepare(pair[0], mesh)
     assert told(lambda: session.measure(pair[1], from_last=True)) == (
         "from_last: this session has measured nothing yet")
@@ -304,6 +343,7 @@ def test_results(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
     assert "not a readable ddic result file" in told(lambda: ddic.open(__file__))
     assert "int given, the name of a file expected" in told(lambda: ddic.open(3))  # type: ignore[arg-type]
     result = ddic.measure(pair, mesh)
+    assert told(lambda: result.plot("strain", numbr="xx")) == 'numbr: unknown argument; did you mean "number"?'
     for points in (np.zeros(2), np.zeros((4, 3)), np.zeros((2, 2, 2))):
         assert "(n, 2) expected: x and y of each point" in told(lambda points=points: result.at(points))
 
@@ -318,3 +358,13 @@ def test_results(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
 ])
 def test_synthetic_pairs(arguments: Any, words: str) -> None:
     assert words in told(lambda: ddic.make_synthetic_pair(*arguments))
+
+
+@pytest.mark.parametrize(("hole", "words"), [
+    (((5, 5), 3), "expected a circle, {"),
+    ({"center": (5, 5)}, "expected a circle, {"),
+    ({"center": (5, 5), "radius": 3, "radious": 3}, 'hole.radious: unknown key; did you mean "radius"?'),
+    ({"center": (5, 5), "radius": -3}, "hole: radius = -3: must be positive"),
+])
+def test_holes_of_synthetic_pairs(hole: Any, words: str) -> None:
+    assert words in told(lambda: ddic.make_synthetic_pair(np.zeros_like, (30, 30), hole=hole))

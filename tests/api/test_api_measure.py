@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def test_what_is_written_into_an_image_after_prepare_changes_nothing(pair: Pair,
 
 def test_a_mesh_that_waits_for_its_line_is_kept_as_it_was(pair: Pair, mesh: ddic.Mesh) -> None:
     given, options = copy.deepcopy(mesh), {"discontinuity": "detect"}
-    with ddic.prepare(pair[0], given, options=options) as session:
+    with ddic.prepare(pair[0], given, **options) as session:
         given.nodes[:] += 3
         result = session.measure(pair[1])
     assert np.array_equal(result.mesh.nodes, mesh.nodes)
@@ -101,21 +102,39 @@ def test_masks_leave_pixels_out(pair: Pair, mesh: ddic.Mesh, used: NDArray[np.bo
     spoiled = [image.copy() for image in pair]
     for image in spoiled:
         image[HIDDEN] = 255
-    assert largest_error(ddic.measure(spoiled, mesh, options=REGULARIZED)) > 4 * WITHIN
+    assert largest_error(ddic.measure(spoiled, mesh, **REGULARIZED)) > 4 * WITHIN
     tifffile.imwrite(tmp_path / "mask.tif", used.astype(np.uint8))
     fields = []
     path = tmp_path / "mask.tif"
     for mask in (used, used.astype(np.uint8) * 7, used.astype(float), path, str(path)):
-        result = ddic.measure([ddic.Image(image, mask) for image in spoiled], mesh, options=REGULARIZED)
+        result = ddic.measure([ddic.Image(image, mask) for image in spoiled], mesh, **REGULARIZED)
         fields.append(result.displacement)
         assert largest_error(result) < BESIDE_A_MASK
     assert all(np.array_equal(field, fields[0]) for field in fields)
 
 
+def test_keys_of_images_are_those_of_a_case(pair: Pair, mesh: ddic.Mesh, used: NDArray[np.bool_],
+                                            tmp_path: Path) -> None:
+    spoiled = [image.copy() for image in pair]
+    for image in spoiled:
+        image[HIDDEN] = 255
+    path = tmp_path / "mask.tif"
+    tifffile.imwrite(path, used.astype(np.uint8))
+    by_image = ddic.measure([ddic.Image(image, used) for image in spoiled], mesh, **REGULARIZED)
+    masks = {"reference_mask": path, "deformed_mask": path}
+    by_keys = ddic.measure(images={"reference": spoiled[0], "deformed": spoiled[1], **masks}, mesh=mesh, **REGULARIZED)
+    assert np.array_equal(by_keys.displacement, by_image.displacement)
+    with ddic.prepare(images={"reference": spoiled[0], **masks}, mesh=mesh, **REGULARIZED) as session:
+        of_session = session.measure(spoiled[1])
+    assert np.abs(of_session.displacement - by_image.displacement).max() < 1e-4
+    saturated = ddic.measure(spoiled, mesh, images={"exclude_saturated": True}, **REGULARIZED)
+    assert largest_error(saturated) < BESIDE_A_MASK
+
+
 def test_nan_under_a_mask_and_in_a_masked_array(pair: Pair, mesh: ddic.Mesh, used: NDArray[np.bool_]) -> None:
     spoiled = [np.where(used, image, np.nan) for image in pair]
-    by_mask = ddic.measure([ddic.Image(image, used) for image in spoiled], mesh, options=REGULARIZED)
-    by_array = ddic.measure([np.ma.masked_invalid(image) for image in spoiled], mesh, options=REGULARIZED)
+    by_mask = ddic.measure([ddic.Image(image, used) for image in spoiled], mesh, **REGULARIZED)
+    by_array = ddic.measure([np.ma.masked_invalid(image) for image in spoiled], mesh, **REGULARIZED)
     assert largest_error(by_mask) < WITHIN
     assert np.array_equal(by_mask.displacement, by_array.displacement)
 
@@ -140,7 +159,7 @@ def test_saturated_pixels_of_the_reference_image_count_in_no_image(pair: Pair, m
     spoiled = [image.copy() for image in pair]
     for image in spoiled:
         image[HIDDEN] = 255
-    result = ddic.measure((ddic.Image(spoiled[0], exclude_saturated=True), spoiled[1]), mesh, options=REGULARIZED)
+    result = ddic.measure((ddic.Image(spoiled[0], exclude_saturated=True), spoiled[1]), mesh, **REGULARIZED)
     assert largest_error(result) < BESIDE_A_MASK
 
 
@@ -151,7 +170,7 @@ def test_saturation_of_12_bits_in_16_is_found_or_given(pair: Pair, mesh: ddic.Me
         assert image.max() < 4000
         image[HIDDEN] = 4095
     images = [ddic.Image(image, exclude_saturated=True, saturation=saturation) for image in spoiled]
-    assert largest_error(ddic.measure(images, mesh, options=REGULARIZED)) < BESIDE_A_MASK
+    assert largest_error(ddic.measure(images, mesh, **REGULARIZED)) < BESIDE_A_MASK
 
 
 def test_level_of_saturation_without_its_use_is_refused(pair: Pair, mesh: ddic.Mesh) -> None:
@@ -180,8 +199,8 @@ def test_mixed_mesh_and_node_sets_of_meshio(pair: Pair, mesh: ddic.Mesh) -> None
     mixed = meshio.Mesh(mesh.nodes, [("quad", quads[1:]), ("triangle", quads[:1, [0, 1, 2]]),
                                      ("triangle", quads[:1, [0, 2, 3]])],
                         point_sets={"ends": np.flatnonzero(np.isin(mesh.nodes[:, 0], [20, 140]))})
-    result = ddic.measure(pair, mixed, options={"regularization": {"cut_off_wavelength": 80,
-                                                                   "not_controlled": ["ends"]}})
+    result = ddic.measure(pair, mixed, regularization={"cut_off_wavelength": 80,
+                                                                   "not_controlled": ["ends"]})
     assert result.mesh.n_cells == len(quads) + 1
     assert largest_error(result) < WITHIN
 
@@ -194,7 +213,7 @@ def test_mesh_in_millimetres(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result,
         given = meshio.Mesh(millimetres, [("quad", mesh.cells)])
     elif kind == "ddic":
         given = ddic.structured_mesh((0, 0, 12, 10), 2)
-    result = ddic.measure(pair, given, options={"mesh": {"mapping": {"scale": 10, "translation": [20, 20]}}})
+    result = ddic.measure(pair, mesh={"file": given, "mapping": {"scale": 10, "translation": [20, 20]}})
     assert np.abs(result.displacement - measured.displacement).max() < 1e-9
     assert result.fields["displacement_mesh_units"] == pytest.approx(result.displacement / 10, abs=1e-12)
 
@@ -209,8 +228,8 @@ def test_drawing_turned_and_with_y_up(pair: Pair, mesh: ddic.Mesh, tmp_path: Pat
     nodes = mesh.nodes + 0.25
     drawn = (nodes - [20, 20]) @ axes / 10
     path = tmp_path / "result.vtkhdf"
-    options = {"mesh": {"mapping": mapping}, "output": {"flip_y": flip_y}}
-    result = ddic.measure(pair, (drawn, mesh.cells), options=options, output=path)
+    result = ddic.measure(pair, mesh={"file": (drawn, mesh.cells), "mapping": mapping},
+                          output={"file": path, "flip_y": flip_y})
     in_pixels = ddic.measure(pair, (nodes, mesh.cells))
     assert np.abs(result.displacement - in_pixels.displacement).max() < 1e-9
     in_drawing = result.displacement @ axes / 10
@@ -229,7 +248,7 @@ def test_drawing_turned_and_with_y_up(pair: Pair, mesh: ddic.Mesh, tmp_path: Pat
 @pytest.mark.parametrize("method", ["dual", "assembled", "conjugate_gradient", "monolithic"])
 def test_options_choose_the_method(pair: Pair, mesh: ddic.Mesh, measured: ddic.Result, method: str) -> None:
     solver: dict[str, Any] = {"method": method} if method == "monolithic" else {"method": method, "subdomains": 4}
-    result = ddic.measure(pair, mesh, options={"solver": solver})
+    result = ddic.measure(pair, mesh, solver=solver)
     assert result.n_subdomains == solver.get("subdomains", 1)
     assert np.abs(result.displacement - measured.displacement).max() < 1e-3
 
@@ -238,15 +257,15 @@ def test_numbers_of_numpy_in_options(pair: Pair, mesh: ddic.Mesh) -> None:
     settings = {"solver": {"subdomains": np.int64(4)},
                 "regularization": {"cut_off_wavelength": np.float32(80), "boxes": np.array([[0, 0, 30, 30]]),
                                    "not_controlled": ("boundary",)}}
-    assert ddic.measure(pair, mesh, options=settings).n_subdomains == 4
+    assert ddic.measure(pair, mesh, **settings).n_subdomains == 4
 
 
 def test_residual_image_can_be_left_out(pair: Pair, mesh: ddic.Mesh) -> None:
-    assert ddic.measure(pair, mesh, options={"output": {"residual_image": False}}).residual_image is None
+    assert ddic.measure(pair, mesh, output={"residual_image": False}).residual_image is None
 
 
 def test_lengths_in_millimetres(pair: Pair, mesh: ddic.Mesh) -> None:
-    result = ddic.measure(pair, mesh, options={"images": {"pixel_size": 0.05, "length_unit": "mm"}})
+    result = ddic.measure(pair, mesh, images={"pixel_size": 0.05, "length_unit": "mm"})
     assert result.attributes["units"]["length_unit"] == "mm"
     assert result.fields["displacement_physical"] == pytest.approx(0.05 * result.displacement, abs=1e-12)
 
@@ -256,7 +275,7 @@ def shift_whole(mesh: ddic.Mesh) -> ddic.LinearRegion:
 
 
 def test_own_kinematics(pair: Pair, mesh: ddic.Mesh) -> None:
-    result = ddic.measure(pair, mesh, options=ddic.Options(kinematics=shift_whole))
+    result = ddic.measure(pair, mesh, kinematics=shift_whole)
     assert np.ptp(result.displacement, axis=0) == pytest.approx([0, 0], abs=1e-12)
     assert result.displacement[0] == pytest.approx(move(np.array([[80.0, 70.0]]))[0], abs=0.02)
 
@@ -269,12 +288,12 @@ def test_own_kinematics_sees_the_repaired_mesh(pair: Pair, mesh: ddic.Mesh) -> N
         return ddic.NodalRegion(given)
 
     unused = np.vstack([[[0.0, 0.0]], mesh.nodes])
-    result = ddic.measure(pair, (unused, mesh.cells + 1), options=ddic.Options(kinematics=kinematics))
+    result = ddic.measure(pair, (unused, mesh.cells + 1), kinematics=kinematics)
     assert seen[0].n_nodes == result.mesh.n_nodes == mesh.n_nodes
 
 
 def test_ranks_can_measure_alone(pair: Pair, mesh: ddic.Mesh) -> None:
-    result = ddic.measure(pair, mesh, options=ddic.Options(comm=MPI.COMM_SELF))
+    result = ddic.measure(pair, mesh, comm=MPI.COMM_SELF)
     assert largest_error(result) < WITHIN
 
 
@@ -284,8 +303,8 @@ def test_ranks_can_measure_alone(pair: Pair, mesh: ddic.Mesh) -> None:
 @pytest.mark.parametrize("flip_y", [False, True])
 def test_file_holds_what_was_returned(pair: Pair, mesh: ddic.Mesh, tmp_path: Path, flip_y: bool) -> None:
     path = tmp_path / "result.vtkhdf"
-    options = REGULARIZED | {"solver": {"subdomains": 4}, "output": {"flip_y": flip_y}}
-    returned = ddic.measure(pair, mesh, options=options, output=path)
+    returned = ddic.measure(pair, mesh, solver={"subdomains": 4}, output={"file": path, "flip_y": flip_y},
+                            **REGULARIZED)
     read = ddic.open(path)
     assert np.array_equal(read.displacement, returned.displacement)
     assert np.array_equal(read.mesh.nodes, returned.mesh.nodes)
@@ -366,13 +385,13 @@ def test_case_writes_where_it_is_told(case_file: Path, tmp_path: Path) -> None:
 
 
 def test_case_with_own_kinematics(case_file: Path) -> None:
-    result = ddic.measure(case_file, options=ddic.Options(kinematics=shift_whole))
+    result = ddic.measure(case_file, kinematics=shift_whole)
     assert np.ptp(result.displacement, axis=0) == pytest.approx([0, 0], abs=1e-12)
 
 
 def test_session_measures_frames_with_one_factor(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
     reference, deformed = pair
-    with ddic.prepare(reference, mesh, options={"solver": {"subdomains": 4}}) as session:
+    with ddic.prepare(reference, mesh, solver={"subdomains": 4}) as session:
         first = session.measure(deformed)
         still = session.measure(reference, output=tmp_path / "still.vtkhdf")
         again = session.measure(deformed, from_last=True)
@@ -381,6 +400,39 @@ def test_session_measures_frames_with_one_factor(pair: Pair, mesh: ddic.Mesh, tm
     assert np.abs(still.displacement).max() < 1e-4
     assert np.abs(again.displacement - first.displacement).max() < 1e-3
     assert np.array_equal(ddic.open(tmp_path / "still.vtkhdf").displacement, still.displacement)
+
+
+def test_a_parsed_case_file_is_the_arguments(case_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(case_file.parent)
+    sections = tomllib.loads(case_file.read_text(encoding="utf-8")) | {"output": {"file": "r.vtkhdf", "flip_y": True}}
+    by_arguments = ddic.measure(**sections)
+    assert np.abs(by_arguments.displacement - ddic.measure(case_file).displacement).max() < 1e-9
+    assert by_arguments.n_subdomains == 4
+    assert ddic.open("r.vtkhdf").flipped
+    in_memory = {"reference": tifffile.imread("reference.tif"), "deformed": tifffile.imread("deformed.tif")}
+    again = ddic.measure(**sections | {"images": in_memory, "output": None})
+    assert np.array_equal(again.displacement, by_arguments.displacement)
+
+
+def test_a_mesh_file_may_be_named(pair: Pair, mesh: ddic.Mesh, tmp_path: Path) -> None:
+    meshio.Mesh(mesh.nodes / 10, [("quad", mesh.cells)]).write(tmp_path / "mesh.vtu")
+    in_pixels = ddic.measure(pair, mesh={"file": tmp_path / "mesh.vtu", "mapping": {"scale": 10}})
+    assert np.abs(in_pixels.displacement - ddic.measure(pair, mesh).displacement).max() < 1e-9
+    meshio.Mesh(mesh.nodes, [("quad", mesh.cells)]).write(tmp_path / "pixels.vtu")
+    by_name = ddic.measure(pair, tmp_path / "pixels.vtu")
+    assert np.array_equal(by_name.displacement, ddic.measure(pair, mesh).displacement)
+
+
+def test_masks_of_a_case_count_in_its_session(case_file: Path, pair: Pair, used: NDArray[np.bool_]) -> None:
+    tifffile.imwrite(case_file.with_name("mask.tif"), used.astype(np.uint8))
+    text = case_file.read_text(encoding="utf-8").replace("[mesh", 'deformed_mask = "mask.tif"\n[mesh', 1)
+    case_file.write_text(text, encoding="utf-8")
+    spoiled = pair[1].copy()
+    spoiled[HIDDEN] = 255
+    tifffile.imwrite(case_file.with_name("deformed.tif"), spoiled)
+    with ddic.prepare(case_file) as session:
+        found = session.measure(spoiled)
+    assert np.abs(found.displacement - ddic.measure(case_file).displacement).max() < 1e-3
 
 
 def test_session_of_a_case(case_file: Path, pair: Pair, measured: ddic.Result) -> None:
@@ -449,5 +501,5 @@ def test_synthetic_pair_takes_functions_and_fields(pair: Pair) -> None:
     exact = ddic.make_synthetic_pair(field, (160, 140), noise=1, seed=1)
     assert all(np.array_equal(a, b) for a, b in zip(exact, pair, strict=True))
     assert pair[0].shape == (140, 160)
-    dark, _ = ddic.make_synthetic_pair(np.zeros_like, (60, 50), hole=((30, 25), 10))
+    dark, _ = ddic.make_synthetic_pair(np.zeros_like, (60, 50), hole={"center": (30, 25), "radius": 10})
     assert dark[25, 30] < 20

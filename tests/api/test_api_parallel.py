@@ -41,8 +41,8 @@ def refused(call: Any) -> ddic.InputError:
 @pytest.mark.parallel([3])
 def test_every_rank_gets_the_whole_result(pair: Pair, mesh: ddic.Mesh, shared_path: Path) -> None:
     options = REGULARIZED | {"solver": {"subdomains": 4}}
-    result = ddic.measure(pair, mesh, options=options, output=shared_path / "result.vtkhdf")
-    alone = ddic.measure(pair, mesh, options=ddic.Options(options, comm=MPI.COMM_SELF))
+    result = ddic.measure(pair, mesh, **options, output=shared_path / "result.vtkhdf")
+    alone = ddic.measure(pair, mesh, comm=MPI.COMM_SELF, **options)
     MPI.COMM_WORLD.barrier()
     read = ddic.open(shared_path / "result.vtkhdf")
     assert result.mesh.n_nodes == mesh.n_nodes
@@ -62,7 +62,7 @@ def test_every_rank_gets_the_whole_result(pair: Pair, mesh: ddic.Mesh, shared_pa
 def test_every_rank_gets_the_last_field_of_a_failure(pair: Pair, mesh: ddic.Mesh, shared_path: Path,
                                                      options: dict[str, Any]) -> None:
     options = options | {"start": {"pyramid": False}}
-    with ddic.prepare(pair[0], mesh, options=options) as session:
+    with ddic.prepare(pair[0], mesh, **options) as session:
         # Identical images need one iteration, and no correction of those that are counted.
         first = session.measure(pair[0], output=shared_path / "first.vtkhdf") if "pgd" not in options else None
         with pytest.raises(ddic.ConvergenceError) as caught:
@@ -80,7 +80,7 @@ def test_every_rank_gets_the_last_field_of_a_failure(pair: Pair, mesh: ddic.Mesh
 def test_files_masks_and_sessions(files: tuple[Path, Path], pair: Pair, mesh: ddic.Mesh) -> None:
     mask = np.ones(pair[0].shape)
     mask[50:70, 60:75] = 0
-    with ddic.prepare(ddic.Image(files[0], mask), mesh, options=REGULARIZED | {"solver": {"subdomains": 4}}) as session:
+    with ddic.prepare(ddic.Image(files[0], mask), mesh, **(REGULARIZED | {"solver": {"subdomains": 4}})) as session:
         first = session.measure(files[1])
         last = session.measure(ddic.Image(pair[1], mask), from_last=True)
         counts = MPI.COMM_WORLD.allgather((session.n_assembled, session.n_factorized))
@@ -99,7 +99,7 @@ def test_case_file(case_file: Path, shared_path: Path) -> None:
 @pytest.mark.parallel([2])
 def test_ranks_can_measure_different_images_alone(pair: Pair, mesh: ddic.Mesh) -> None:
     deformed = pair[MPI.COMM_WORLD.rank]
-    result = ddic.measure((pair[0], deformed), mesh, options=ddic.Options(comm=MPI.COMM_SELF))
+    result = ddic.measure((pair[0], deformed), mesh, comm=MPI.COMM_SELF)
     MPI.COMM_WORLD.barrier()
     assert (np.abs(result.displacement).max() < 1e-4) == (MPI.COMM_WORLD.rank == 0)
 
@@ -113,10 +113,10 @@ def test_wrong_input_is_told_on_all_ranks(pair: Pair, mesh: ddic.Mesh) -> None:
     refused(lambda: ddic.measure((ddic.Image(pair[0], mask=np.ones(3)), pair[1]), mesh))
     refused(lambda: ddic.measure(pair, (mesh.nodes + 100, mesh.cells)))
     refused(lambda: ddic.measure(pair, "mesh.msh"))  # type: ignore[arg-type]
-    refused(lambda: ddic.measure(pair, mesh, options={"solver": {"subdomains": 1}}))
-    refused(lambda: ddic.measure(pair, mesh, options={"solver": {"method": "monolithic"}}))
-    refused(lambda: ddic.measure(pair, mesh, options={"solvr": {}}))
-    refused(lambda: ddic.measure(pair, mesh, options=ddic.Options(kinematics=lambda given: None)))  # type: ignore[arg-type,return-value]
+    refused(lambda: ddic.measure(pair, mesh, solver={"subdomains": 1}))
+    refused(lambda: ddic.measure(pair, mesh, solver={"method": "monolithic"}))
+    refused(lambda: ddic.measure(pair, mesh, solvr={}))
+    refused(lambda: ddic.measure(pair, mesh, kinematics=lambda given: None))  # type: ignore[arg-type,return-value]
     refused(lambda: ddic.measure(pair, mesh, output="no_such_folder/r.vtkhdf"))
     refused(lambda: ddic.measure("no_such.toml"))
 
@@ -136,8 +136,8 @@ def test_own_kinematics_of_the_examples_by_every_method(name: str) -> None:
     images, mesh, kinematics = (example[name] for name in ("IMAGES", "MESH", "kinematics"))
 
     def measure(solver: dict[str, Any], comm: MPI.Comm) -> NDArray[np.float64]:
-        options = ddic.Options({"solver": solver, "gauss_newton": TIGHT}, kinematics, comm)
-        return ddic.measure(images, mesh, options=options).displacement
+        return ddic.measure(images, mesh, kinematics=kinematics, comm=comm, solver=solver,
+                            gauss_newton=TIGHT).displacement
 
     alone = measure({"method": "monolithic"}, MPI.COMM_SELF)
     differences = {}
@@ -151,7 +151,7 @@ def test_own_kinematics_of_the_examples_by_every_method(name: str) -> None:
 def test_a_masked_image_without_regularization_is_prepared_on_all_ranks(pair: Pair, mesh: ddic.Mesh) -> None:
     used = np.ones(pair[0].shape, dtype=bool)
     used[35:105, 55:125] = False
-    with ddic.prepare(ddic.Image(pair[0], used), mesh, options={"solver": {"subdomains": 4}}) as session:
+    with ddic.prepare(ddic.Image(pair[0], used), mesh, solver={"subdomains": 4}) as session:
         result = session.measure(pair[1])
     assert same_on_all_ranks(result.displacement)
     assert np.isnan(result.displacement).any(axis=1).sum() == 4

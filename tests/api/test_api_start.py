@@ -31,11 +31,11 @@ def _points() -> NDArray[np.float64]:
 
 
 def test_a_result_is_gone_on_from(pair: Pair, jumped: Pair, mesh: ddic.Mesh) -> None:
-    with ddic.prepare(pair[0], mesh, options=REGULARIZED) as session:
+    with ddic.prepare(pair[0], mesh, **REGULARIZED) as session:
         first = session.measure(pair[1])
         later = session.measure(jumped[1], start=first)
     assert np.abs(later.displacement - move(mesh.nodes) - JUMP).max() < 2 * WITHIN
-    again = ddic.measure(pair, mesh, start=first, options=REGULARIZED)
+    again = ddic.measure(pair, mesh, start=first, **REGULARIZED)
     assert len(again.gauss_newton["iteration"]) == 1
     assert np.abs(again.displacement - first.displacement).max() < 1e-3
 
@@ -44,10 +44,11 @@ def test_arrays_are_started_from(jumped: Pair, mesh: ddic.Mesh) -> None:
     points = _points()
     # As they are: no stage of the start is on, and Gauss-Newton alone fails from rest.
     with pytest.raises(ddic.ConvergenceError):
-        ddic.measure(jumped, mesh, options=ALONE)
-    result = ddic.measure(jumped, mesh, start=(points, move(points) + JUMP), options=ALONE)
+        ddic.measure(jumped, mesh, **ALONE)
+    result = ddic.measure(jumped, mesh, start={"from_points": (points, move(points) + JUMP)} | ALONE["start"])
     assert np.abs(result.displacement - move(mesh.nodes) - JUMP).max() < 2 * WITHIN
-    listed = ddic.measure(jumped, mesh, start=[points.tolist(), (move(points) + JUMP).tolist()], options=ALONE)
+    lists = [points.tolist(), (move(points) + JUMP).tolist()]
+    listed = ddic.measure(jumped, mesh, start={"from_points": lists} | ALONE["start"])
     assert np.array_equal(listed.displacement, result.displacement)
 
 
@@ -61,7 +62,8 @@ def test_it_stands_for_what_a_case_says(case_file: Path) -> None:
 
 
 @pytest.mark.parametrize(("start", "words"), [
-    ("a.vtkhdf", "start: str given; give a result, or a pair (points, displacement)"),
+    ("a.vtkhdf", "a.vtkhdf: no such result file"),
+    ({"from_result": 3}, "start: int given; give a result, or a pair (points, displacement)"),
     (np.zeros((3, 2)), "start: ndarray given; give a result"),
     ((np.zeros((3, 2)),), "start: tuple given"),
     ((np.zeros((3, 3)), np.zeros((3, 3))), "start: points: an array of shape (3, 3), (n, 2) expected"),
@@ -96,13 +98,13 @@ def _refused(call: Callable[[], object]) -> str:
 @pytest.mark.parallel([3])
 def test_all_ranks_start_alike(pair: Pair, jumped: Pair, mesh: ddic.Mesh) -> None:
     options = REGULARIZED | {"solver": {"subdomains": 4}}
-    first = ddic.measure(pair, mesh, options=options)
-    later = ddic.measure((pair[0], jumped[1]), mesh, start=first, options=options)
-    alone = ddic.measure((pair[0], jumped[1]), mesh, start=first, options=ddic.Options(options, comm=MPI.COMM_SELF))
+    first = ddic.measure(pair, mesh, **options)
+    later = ddic.measure((pair[0], jumped[1]), mesh, start=first, **options)
+    alone = ddic.measure((pair[0], jumped[1]), mesh, start=first, comm=MPI.COMM_SELF, **options)
     assert np.abs(later.displacement - alone.displacement).max() < 1e-5
     assert np.abs(later.displacement - move(mesh.nodes) - JUMP).max() < 2 * WITHIN
     points = _points()
-    result = ddic.measure(jumped, mesh, start=(points, move(points) + JUMP), options=options)
+    result = ddic.measure(jumped, mesh, start=(points, move(points) + JUMP), **options)
     assert np.abs(result.displacement - move(mesh.nodes) - JUMP).max() < 2 * WITHIN
     assert largest_error(first) < WITHIN
     some = first if MPI.COMM_WORLD.rank == 0 else None

@@ -47,7 +47,7 @@ def wave_case(shared_path: Path) -> Path:
 
 def test_recommended_settings_are_next_to_the_best(wave_case: Path) -> None:
     told: list[tuple[str, int]] = []
-    found = ddic.choose_regularization(wave_case, wavelengths=(0, 32, 60, 120), element_sizes=(8, 16, 20),
+    found = ddic.choose_regularization(wave_case, cut_off_wavelengths=(0, 32, 60, 120), element_sizes=(8, 16, 20),
                                        advance=lambda what, count: told.append((what, count)))
     # 8 px: all four; 16 and 20: those of at least three elements.
     assert len(found.trials) == 4 + 3 + 3
@@ -67,7 +67,7 @@ def test_recommended_settings_are_next_to_the_best(wave_case: Path) -> None:
 
 @pytest.mark.parallel([1, 3])
 def test_ranks_find_the_same(wave_case: Path) -> None:
-    found = ddic.choose_regularization(wave_case, wavelengths=(0, 60, 120), element_sizes=(16,))
+    found = ddic.choose_regularization(wave_case, cut_off_wavelengths=(0, 60, 120), element_sizes=(16,))
     of_ranks = MPI.COMM_WORLD.allgather([trial.virtual_error for trial in found.trials])
     assert all(errors == of_ranks[0] for errors in of_ranks)
     assert found.best.candidate == ddic.Candidate(16.0, 0.0)
@@ -78,7 +78,7 @@ def test_ranks_find_the_same(wave_case: Path) -> None:
 
 @pytest.mark.parametrize(("options", "message"), [
     (["--lengths", "a,b"], "--lengths a,b: give numbers"),
-    (["--lengths", "-3"], "--lengths [-3.0]: give numbers of pixels, at least 0"),
+    (["--lengths", "-3"], "cut-off wavelengths [-3.0]: give numbers of pixels, at least 0"),
     (["--lengths", "10", "--elements", "16"], "shorter than 3 elements"),
     (["--elements", "0.5"], "at least 1"),
 ])
@@ -91,7 +91,7 @@ def test_impossible_settings_are_refused(wave_case: Path, options: list[str], me
 
 
 def test_candidates_that_are_prepared_twice_find_the_same(wave_case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings: dict[str, Any] = {"wavelengths": (60, 120), "element_sizes": (20,)}
+    settings: dict[str, Any] = {"cut_off_wavelengths": (60, 120), "element_sizes": (20,)}
     kept = ddic.choose_regularization(wave_case, **settings)
     monkeypatch.setattr(sweeping, "KEPT_PIXELS", 0)
     opened: list[Inputs] = []
@@ -109,10 +109,10 @@ def test_candidates_that_are_prepared_twice_find_the_same(wave_case: Path, monke
 
 
 def test_of_a_series_the_last_image_is_taken(wave_case: Path) -> None:
-    one = ddic.choose_regularization(wave_case, wavelengths=(120,), element_sizes=(20,))
+    one = ddic.choose_regularization(wave_case, cut_off_wavelengths=(120,), element_sizes=(20,))
     text = wave_case.read_text()
     wave_case.write_text(text.replace('deformed = "g.tif"', 'deformed = ["f.tif", "g.tif"]'))
-    last = ddic.choose_regularization(wave_case, wavelengths=(120,), element_sizes=(20,))
+    last = ddic.choose_regularization(wave_case, cut_off_wavelengths=(120,), element_sizes=(20,))
     # The first image has not moved at all.
     assert np.array_equal(last.trials[0].displacement, one.trials[0].displacement)
     assert np.abs(last.trials[0].displacement).max() > 0.1

@@ -34,7 +34,7 @@ def _add_noise(images: list[NDArray[np.float32]], random: np.random.Generator) -
 
 
 def _measure(pair: list[NDArray[Any]], options: dict[str, Any] | None = None) -> ddic.Result:
-    return ddic.measure(pair, MESH, options=options)
+    return ddic.measure(pair, MESH, **(options or {}))
 
 
 @pytest.mark.parametrize("regularization", [{}, REGULARIZED], ids=["free", "regularized"])
@@ -99,7 +99,7 @@ def test_it_is_left_out_unless_it_is_asked_for() -> None:
 def test_products_of_functions_have_none() -> None:
     options = {"pgd": {}, "mesh": {"structured": {"region": [10, 10, 150, 130], "element_size": 4}}, **ON}
     with pytest.raises(InputError, match=r"output\.uncertainty does not go with \[pgd\]"):
-        ddic.measure(_clean(), options=options)
+        ddic.measure(_clean(), **options)
 
 
 def test_a_step_that_fails_for_them_does_not_lose_the_field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -89,13 +89,57 @@ def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: py
      "regularization.not_controlled[0] = []: expected a text in quotes"),
     ("[solver]\nblocks = [1, 2, 3]\npartition = 'blocks'",
      "solver.blocks = [1, 2, 3]: expected at most 2 items"),
+    ("[discontinuity]\nvertices = [[0, 0], [9, 9]]",
+     "discontinuity: one section is given, a list of them expected: [[discontinuity]], or [{...}] in Python"),
     ("[regularization]\nplane = 'stress'",
      "regularization: give either regularization.cut_off_wavelength or regularization.eta"),
+    ("[regularization]\neta = 1\npoisson_ratio = 0.5",
+     "regularization: regularization.poisson_ratio = 0.5: an isotropic material has less than 0.5; of a composite give "
+     "young_ratio or shear_ratio, too"),
+    ("[regularization]\neta = 1\nmaterial_angle_degrees = 45",
+     "regularization: regularization.material_angle_degrees goes with young_ratio or shear_ratio: an isotropic "
+     "material has no axes"),
+    ("[regularization]\neta = 1\nyoung_ratio = 0.06",
+     "regularization: regularization.poisson_ratio = 0.3 with young_ratio = 0.06: no material has nu12 squared as "
+     "large as E1 / E2; give less than 0.245, or call the stiffer axis 1"),
+    ("[regularization]\neta = 1\nyoung_ratio = 140000\nshear_ratio = 5000",
+     "regularization: regularization.young_ratio = 140000, shear_ratio = 5000 with poisson_ratio = 0.3: one modulus is "
+     "140000 times another, more than 5000: rounding would hide the images; give E1 / E2 and G12 / E2, not moduli"),
+    ("[regularization]\neta = 1\nshear_ratio = 0.2\nplane = 'strain'",
+     'regularization: regularization.plane = "strain" goes with an isotropic material, for it asks for moduli across '
+     "the plane; leave it out, or young_ratio and shear_ratio"),
+    ("[regularization]\neta = 1\nyoung_ratio = 0", "regularization.young_ratio = 0: expected more than 0"),
     ('[solver]\npartition = "blocks"',
      'solver: solver.blocks = [columns, rows] goes with solver.partition = "blocks"'),
 ])
 def test_one_clear_line(tmp_path: Path, addition: str, line: str) -> None:
     assert _problems(tmp_path, SMALLEST + addition) == (line,)
+
+
+COMPOSITE = "[regularization]\ncut_off_wavelength = 64\nyoung_ratio = 15\nmaterial_angle_degrees = 30\n"
+
+
+@pytest.mark.parametrize(("addition", "start"), [
+    ("[[discontinuity]]\nvertices = [[0, 0], [9, 9]]\ntip_functions = true",
+     "discontinuity.tip_functions are those of an isotropic material"),
+    ("[pgd]", "regularization.material_angle_degrees = 30: products of functions of x and of y"),
+])
+def test_what_knows_isotropic_matter_only_is_refused(tmp_path: Path, addition: str, start: str) -> None:
+    (line,) = _problems(tmp_path, f"{SMALLEST}{COMPOSITE}{addition}")
+    assert line.startswith(start)
+    _load(tmp_path, f"{SMALLEST}[regularization]\ncut_off_wavelength = 64\n{addition}")
+
+
+def _load(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "case.toml"
+    path.write_text(text)
+    load_case(path)
+
+
+@pytest.mark.parametrize("keys", ["young_ratio = 0.2", "young_ratio = 1.0\nmaterial_angle_degrees = 30",
+                                  "young_ratio = 1.5\npoisson_ratio = 1.2\nshear_ratio = 2"])
+def test_composites_that_exist_are_taken(tmp_path: Path, keys: str) -> None:
+    _load(tmp_path, f"{SMALLEST}[regularization]\ncut_off_wavelength = 64\n{keys}\n")
 
 
 def test_all_problems_at_once(tmp_path: Path) -> None:

@@ -32,6 +32,13 @@ def test_unused_keys_are_listed(tmp_path: Path, text: str, keys: list[str]) -> N
     assert [line.split(" changes nothing here: it goes with ")[0] for line in lines] == keys
 
 
+@pytest.mark.parametrize("is_asked_for", [False, True])
+def test_noise_is_used_for_uncertainties(tmp_path: Path, *, is_asked_for: bool) -> None:
+    text = INPUTS.replace("[mesh", "noise = 2.0\n[mesh", 1) + f"[output]\nuncertainty = {str(is_asked_for).lower()}\n"
+    (tmp_path / "case.toml").write_text(text)
+    assert len(list_unused_keys(load_case(tmp_path / "case.toml").case)) == (0 if is_asked_for else 1)
+
+
 def test_what_is_left_of_a_case_without_its_bad_keys(tmp_path: Path) -> None:
     path = tmp_path / "case.toml"
     path.write_text(INPUTS + '[solver]\nsubdomain = 4\nmethod = "dual"\ntolerance = "small"\n[strat]\nrigid = true\n')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,14 @@ def test_tip_and_factors_are_found_from_any_guess(guess: float, one: float, rati
     assert found.t_stress == pytest.approx(2e-4, abs=2e-3 * one)
 
 
+@pytest.mark.parametrize("ratio", [{"young_ratio": 15.0}, {"young_ratio": 1.0, "shear_ratio": 0.5}])
+def test_a_composite_has_no_isotropic_tip(ratio: dict[str, float]) -> None:
+    result = cracked()
+    case = {**json.loads(result.attributes["case"]["json"]), "regularization": ratio}
+    with pytest.raises(InputError, match=r"measured as a composite .* opening along the line"):
+        ddic.find_crack_tip(replace(result, attributes={"case": {"json": json.dumps(case)}}))
+
+
 def test_opening_is_that_of_the_faces() -> None:
     found = ddic.measure_opening(cracked())
     r = np.maximum(TIP[0] - found.points[:, 0], 0.0)
@@ -80,7 +89,7 @@ def test_places_at_a_bend_whose_sides_are_not_cut_are_left_out() -> None:
                     for v in (-0.3, 0.3))
     deformed = np.where(is_above, above[1], below[1]).astype(np.uint8)
     result = ddic.measure((above[0], deformed), ddic.structured_mesh((16, 16, 176, 176), 32),
-                          options={"discontinuity": [{"vertices": vertices.tolist()}]})
+                          discontinuity=[{"vertices": vertices.tolist()}])
     found = ddic.measure_opening(result)
     # 8 bit on 32-px elements, and what opens shows nothing of either side.
     length = np.hypot(found.tangential, found.normal)
@@ -106,7 +115,7 @@ def test_commands_print_and_write(tmp_path: Path) -> None:
                                     (160, 160), seed=1)
     mesh = ddic.structured_mesh((16, 16, 144, 144), 8)
     path = tmp_path / "slid.vtkhdf"
-    ddic.measure(pair, mesh, options={"discontinuity": [{"vertices": [[0, 80.3], [160, 80.3]]}]}, output=path)
+    ddic.measure(pair, mesh, discontinuity=[{"vertices": [[0, 80.3], [160, 80.3]]}], output=path)
     table = CliRunner().invoke(opening, [str(path)])
     assert table.exit_code == 0, table.output
     rows = np.genfromtxt(tmp_path / "slid.opening.csv", delimiter=",", names=True)

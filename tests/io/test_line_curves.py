@@ -16,7 +16,7 @@ from support.small_pair import SIZE, move
 @pytest.fixture(scope="module")
 def result() -> ddic.Result:
     pair = ddic.make_synthetic_pair(move, SIZE)
-    return ddic.measure(pair, ddic.structured_mesh((10, 10, 150, 130), 20), options={"output": {"uncertainty": True}})
+    return ddic.measure(pair, ddic.structured_mesh((10, 10, 150, 130), 20), output={"uncertainty": True})
 
 
 def test_the_band_is_two_standard_deviations_wide(result: ddic.Result) -> None:

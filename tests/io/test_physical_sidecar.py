@@ -25,8 +25,8 @@ STRETCH = np.array([[0.02, 0.0], [0.0, -0.01]])
 def measure(path: Path, **more: Any) -> ddic.Result:
     images = ddic.make_synthetic_pair(lambda points: (points - 80) @ STRETCH, (160, 160), seed=4)
     mesh = ddic.structured_mesh((20, 20, 140, 140), 20)
-    options = {"solver": {"subdomains": 3}, "images": {"pixel_size": MM, "length_unit": "mm"}, **more}
-    return ddic.measure(images, mesh, options=options, output=str(path))
+    sections: dict[str, Any] = {"solver": {"subdomains": 3}, "images": {"pixel_size": MM, "length_unit": "mm"}, **more}
+    return ddic.measure(images, mesh, **sections | {"output": {"file": path, **more.get("output", {})}})
 
 
 def warp(path: Path, vector: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

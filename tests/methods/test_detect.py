@@ -43,7 +43,7 @@ def assert_is_the_line(line: np.ndarray) -> None:
 
 @pytest.mark.parallel([1, 3])
 def test_line_is_found_and_measured_with() -> None:
-    result = ddic.measure(pair(0.8), MESH, options={"discontinuity": "detect"})
+    result = ddic.measure(pair(0.8), MESH, discontinuity="detect")
     (line,) = lines_of(result)
     assert_is_the_line(line)
     on_line = FOOT + np.linspace(-90, 90, 60)[:, None] * TANGENT
@@ -52,13 +52,13 @@ def test_line_is_found_and_measured_with() -> None:
 
 
 def test_no_line_is_found_where_nothing_slips() -> None:
-    result = ddic.measure(pair(0.0), MESH, options={"discontinuity": "detect"})
+    result = ddic.measure(pair(0.0), MESH, discontinuity="detect")
     assert lines_of(result) == []
 
 
 def test_session_finds_the_line_in_its_first_image_and_keeps_it() -> None:
     reference, deformed = pair(0.8)
-    with ddic.prepare(reference, MESH, options={"discontinuity": [{"opening": "tangential"}]}) as session:
+    with ddic.prepare(reference, MESH, discontinuity=[{"opening": "tangential"}]) as session:
         assert session.n_assembled == 0
         first, second = session.measure(deformed), session.measure(pair(0.3)[1])
     np.testing.assert_array_equal(lines_of(first), lines_of(second))
@@ -68,7 +68,7 @@ def test_session_finds_the_line_in_its_first_image_and_keeps_it() -> None:
 
 def test_session_looks_again_until_something_jumps() -> None:
     reference, deformed = pair(0.8)
-    with ddic.prepare(reference, MESH, options={"discontinuity": "detect"}) as session:
+    with ddic.prepare(reference, MESH, discontinuity="detect") as session:
         assert lines_of(session.measure(pair(0.0)[1])) == []
         assert_is_the_line(lines_of(session.measure(deformed))[0])
 
@@ -77,8 +77,8 @@ def test_session_looks_again_until_something_jumps() -> None:
 def test_line_is_found_where_brightness_changes(correction: str) -> None:
     reference, deformed = pair(0.8)
     dimmer = np.rint(0.8 * deformed + 12).astype(np.uint8)
-    result = ddic.measure((reference, dimmer), MESH, options={
-        "discontinuity": "detect", "correlation": {"grey_correction": correction}})
+    result = ddic.measure((reference, dimmer), MESH, discontinuity="detect",
+                          correlation={"grey_correction": correction})
     assert_is_the_line(lines_of(result)[0])
 
 
@@ -88,19 +88,18 @@ def test_strain_at_the_edge_of_the_region_is_no_line(seed: int) -> None:
     images = ddic.make_synthetic_pair(
         lambda points: np.column_stack([0.05 * np.maximum(points[:, 1] - 226, 0.0), np.zeros(len(points))]),
         (SIDE, SIDE), noise=1.0, seed=seed)
-    assert len(lines_of(ddic.measure(images, MESH, options={"discontinuity": "detect"}))) <= 1
+    assert len(lines_of(ddic.measure(images, MESH, discontinuity="detect"))) <= 1
 
 
 def test_kinematics_of_ones_own_are_refused_before_anything_is_measured() -> None:
-    options = ddic.Options({"discontinuity": "detect"}, kinematics=ddic.NodalRegion)
     with pytest.raises(InputError, match="discontinuities have kinematics of their own"):
-        ddic.measure(pair(0.8), MESH, options=options)
+        ddic.measure(pair(0.8), MESH, kinematics=ddic.NodalRegion, discontinuity="detect")
 
 
 def test_one_line_at_a_time() -> None:
     sections = [{"opening": "both"}, {"vertices": [[0, 0], [200, 200]]}]
     with pytest.raises(InputError, match="has to be the only one"):
-        ddic.measure(pair(0.0), MESH, options={"discontinuity": sections})
+        ddic.measure(pair(0.0), MESH, discontinuity=sections)
 
 
 def test_command_line_says_what_it_found(tmp_path: Path) -> None:
@@ -124,7 +123,7 @@ def test_a_line_is_found_where_continuous_elements_are_excluded_along_it(slip: f
     continuous = ddic.measure((reference, deformed), MESH)
     # Guards the test: pixels that slipped by half an element are explained by no continuous field.
     assert np.isnan(continuous.displacement).any()
-    (line,) = lines_of(ddic.measure((reference, deformed), MESH, options={"discontinuity": "detect"}))
+    (line,) = lines_of(ddic.measure((reference, deformed), MESH, discontinuity="detect"))
     assert_is_the_line(line)
 
 
@@ -132,7 +131,7 @@ def test_a_line_is_found_beside_what_was_not_measured() -> None:
     reference, deformed = pair(0.8)
     hidden = deformed.copy()
     hidden[190:256, 0:56] = 0
-    result = ddic.measure((reference, hidden), MESH, options={"discontinuity": "detect"})
+    result = ddic.measure((reference, hidden), MESH, discontinuity="detect")
     assert np.isnan(result.displacement).any()
     (line,) = lines_of(result)
     assert_is_the_line(line)

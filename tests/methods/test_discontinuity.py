@@ -51,7 +51,7 @@ def sliding_pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 def measure(settings: dict[str, Any], opening: str = "both", kind: str = "Q4") -> ddic.Result:
     line = {"vertices": LINE, "opening": opening}
-    return ddic.measure(sliding_pair(), MESH[kind], options={"discontinuity": [line], **settings})
+    return ddic.measure(sliding_pair(), MESH[kind], discontinuity=[line], **settings)
 
 
 def beside_the_line(distance: float) -> tuple[Array, Array]:
@@ -77,7 +77,7 @@ def test_field_is_found_on_both_sides(kind: str, opening: str, settings: dict[st
 
 
 def test_continuous_elements_smear_the_slip() -> None:
-    result = ddic.measure(sliding_pair(), MESH["Q4"], options={"solver": {"method": "monolithic"}})
+    result = ddic.measure(sliding_pair(), MESH["Q4"], solver={"method": "monolithic"})
     points = np.random.default_rng(0).uniform(40, 160, (2000, 2))
     assert np.sqrt(((result.at(points) - slide(points)) ** 2).mean()) > 0.03
 
@@ -86,11 +86,12 @@ def test_continuous_elements_smear_the_slip() -> None:
 @pytest.mark.parametrize(("opening", "settings"), [("both", {}), ("tangential", REGULARIZED)],
                          ids=["plain", "regularized"])
 def test_all_solvers_find_the_field_of_the_assembled_operator(opening: str, settings: dict[str, Any]) -> None:
-    alone = ddic.Options(settings | EXACT | {"solver": {"method": "monolithic"}, "discontinuity": [
-        {"vertices": LINE, "opening": opening}]}, comm=MPI.COMM_SELF)
+    alone: dict[str, Any] = settings | EXACT | {
+        "solver": {"method": "monolithic"}, "discontinuity": [{"vertices": LINE, "opening": opening}],
+        "comm": MPI.COMM_SELF}
     above, below = beside_the_line(3.0)
     points = np.vstack([above, below, MESH["Q4"].nodes + np.array([0.1, 0.2])])
-    expected = make_on_root(lambda: ddic.measure(sliding_pair(), MESH["Q4"], options=alone).at(points))
+    expected = make_on_root(lambda: ddic.measure(sliding_pair(), MESH["Q4"], **alone).at(points))
     for solver in SOLVERS.values():
         result = measure(settings | EXACT | {"solver": solver}, opening)
         # The linear steps are solved to 1e-11 of a pixel or so.
@@ -113,7 +114,7 @@ def test_line_that_ends_inside_opens_behind_its_end() -> None:
         for side in (1.0, -1.0)]
     reference, deformed = sides[0][0], np.where(np.arange(height)[:, None] > tip[1], sides[0][1], sides[1][1])
     result = ddic.measure((reference, deformed.astype(np.uint8)), MESH["Q4"],
-                          options={"discontinuity": [{"vertices": [[0.0, 101.3], [101.0, 101.3]]}]})
+                          discontinuity=[{"vertices": [[0.0, 101.3], [101.0, 101.3]]}])
     x = np.linspace(30, 170, 57)
     apart = (result.at(np.column_stack([x, np.full(57, 102.3)])) - result.at(np.column_stack([x, np.full(57, 100.3)])))
     wanted = open_up(np.column_stack([x, np.full(57, 110.0)])) - open_up(np.column_stack([x, np.full(57, 90.0)]))
@@ -144,7 +145,7 @@ def cracked_pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 def measure_crack(settings: dict[str, Any], tip_functions: bool) -> ddic.Result:
     line = {"vertices": [(CRACK_TIP - 300 * TANGENT).tolist(), CRACK_TIP.tolist()], "tip_functions": tip_functions}
-    return ddic.measure(cracked_pair(), MESH["Q4"], options={"discontinuity": [line], **settings})
+    return ddic.measure(cracked_pair(), MESH["Q4"], discontinuity=[line], **settings)
 
 
 def test_tip_functions_hold_what_elements_about_a_tip_do_not() -> None:
@@ -164,10 +165,10 @@ def test_tip_functions_hold_what_elements_about_a_tip_do_not() -> None:
 @pytest.mark.parametrize("settings", [{}, REGULARIZED], ids=["plain", "regularized"])
 def test_all_solvers_find_the_field_about_a_tip(settings: dict[str, Any]) -> None:
     line = {"vertices": [(CRACK_TIP - 300 * TANGENT).tolist(), CRACK_TIP.tolist()], "tip_functions": True}
-    alone = ddic.Options(settings | EXACT | {"solver": {"method": "monolithic"}, "discontinuity": [line]},
-                         comm=MPI.COMM_SELF)
+    alone: dict[str, Any] = settings | EXACT | {"solver": {"method": "monolithic"}, "discontinuity": [line],
+                                                "comm": MPI.COMM_SELF}
     points = np.vstack([CRACK_TIP + np.random.default_rng(0).uniform(-30, 30, (300, 2)), MESH["Q4"].nodes + 0.1])
-    expected = make_on_root(lambda: ddic.measure(cracked_pair(), MESH["Q4"], options=alone).at(points))
+    expected = make_on_root(lambda: ddic.measure(cracked_pair(), MESH["Q4"], **alone).at(points))
     for solver in SOLVERS.values():
         result = measure_crack(settings | EXACT | {"solver": solver}, tip_functions=True)
         # The linear steps are solved to 1e-11 of a pixel or so.
@@ -186,7 +187,7 @@ def test_start_finds_sides_that_are_far_apart() -> None:
     line = [START.tolist(), (START + 500 * TANGENT).tolist()]
     mesh = ddic.structured_mesh((20, 20, 380, 380), 16)
     settings: dict[str, Any] = {"discontinuity": [{"vertices": line, "opening": "tangential"}]}
-    result = ddic.measure(far_apart(), mesh, options=settings)
+    result = ddic.measure(far_apart(), mesh, **settings)
     on_line = START + np.linspace(50, 350, 100)[:, None] * TANGENT
     apart = result.at(on_line + 3 * NORMAL) - result.at(on_line - 3 * NORMAL)
     # 8 bit and elements of 16 px: some hundredths of a pixel.
@@ -195,7 +196,7 @@ def test_start_finds_sides_that_are_far_apart() -> None:
     # Cells beside the line would else be excluded, and found again from their neighbours.
     smeared = settings | {"start": {"largest_enriched_block": 0}, "correlation": {"spoilt_pixels": "keep"}}
     try:
-        apart = ddic.measure(far_apart(), mesh, options=smeared).at(on_line + 3 * NORMAL)
+        apart = ddic.measure(far_apart(), mesh, **smeared).at(on_line + 3 * NORMAL)
     except ConvergenceError:
         return
     assert np.sqrt(((apart - 12.0 * TANGENT) ** 2).mean()) > 1.0
@@ -213,13 +214,12 @@ def test_start_finds_sides_that_are_far_apart() -> None:
 ])
 def test_bad_lines_are_refused(line: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        ddic.measure(sliding_pair(), MESH["Q4"], options={"discontinuity": [line]})
+        ddic.measure(sliding_pair(), MESH["Q4"], discontinuity=[line])
 
 
 def test_kinematics_of_ones_own_are_refused_beside_discontinuities() -> None:
-    options = ddic.Options({"discontinuity": [{"vertices": LINE}]}, kinematics=ddic.NodalRegion)
     with pytest.raises(InputError, match="discontinuities have kinematics of their own"):
-        ddic.measure(sliding_pair(), MESH["Q4"], options=options)
+        ddic.measure(sliding_pair(), MESH["Q4"], kinematics=ddic.NodalRegion, discontinuity=[{"vertices": LINE}])
 
 
 def test_command_line_measures_says_and_shows_it(tmp_path: Path) -> None:

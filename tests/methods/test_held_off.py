@@ -59,7 +59,7 @@ def render() -> tuple[Array, Array]:
 
 def measure(options: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF) -> ddic.Result:
     settings = {"regularization": {"cut_off_wavelength": 300.0}} | options
-    return ddic.measure(render(), MESH, options=ddic.Options(settings, comm=comm))
+    return ddic.measure(render(), MESH, comm=comm, **settings)
 
 
 def measure_off(result: ddic.Result) -> Array:

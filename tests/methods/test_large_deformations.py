@@ -61,17 +61,17 @@ def test_all_solvers_find_one_field(settings: dict[str, Any]) -> None:
     weighting = settings.get("solver", {})
     # One domain has no interface whose rows the paper weights otherwise; the assembled operator has.
     method = {"method": "assembled", "subdomains": 4} if weighting else {"method": "monolithic"}
-    alone = ddic.Options(settings | EXACT | {"solver": method | weighting}, comm=MPI.COMM_SELF)
-    expected = make_on_root(lambda: ddic.measure(_pictures(60.0), MESH, options=alone).at(MESH.nodes))
+    alone: dict[str, Any] = settings | EXACT | {"solver": method | weighting, "comm": MPI.COMM_SELF}
+    expected = make_on_root(lambda: ddic.measure(_pictures(60.0), MESH, **alone).at(MESH.nodes))
     for solver in SOLVERS.values():
-        result = ddic.measure(_pictures(60.0), MESH, options=settings | EXACT | {"solver": solver | weighting})
+        result = ddic.measure(_pictures(60.0), MESH, **(settings | EXACT | {"solver": solver | weighting}))
         # The linear steps are solved to 1e-11 of a pixel or so.
         assert np.abs(result.at(MESH.nodes) - expected).max() < 1e-9
 
 
 @pytest.mark.parametrize("degrees", [3.0, 10.0, 60.0])
 def test_a_rotation_strains_no_free_edge(degrees: float) -> None:
-    plain, free = (ddic.measure(_pictures(degrees), MESH, options=settings) for settings in ({}, FREE_EDGES))
+    plain, free = (ddic.measure(_pictures(degrees), MESH, **settings) for settings in ({}, FREE_EDGES))
     errors = [np.sqrt(((r.displacement - _wanted(r.mesh.nodes, degrees)) ** 2).mean()) for r in (plain, free)]
     assert errors[1] < errors[0]
     strain = compute_strain(free.mesh, free.displacement.ravel()).green_lagrange
@@ -81,7 +81,7 @@ def test_a_rotation_strains_no_free_edge(degrees: float) -> None:
 
 @pytest.mark.parallel([1, 3])
 def test_a_session_renews_its_operators_as_the_specimen_turns() -> None:
-    with ddic.prepare(_pictures(0.0)[0], MESH, options={"solver": {"method": "dual", "subdomains": 4}}) as session:
+    with ddic.prepare(_pictures(0.0)[0], MESH, solver={"method": "dual", "subdomains": 4}) as session:
         for degrees in (0.5, 60.0, 62.0, 0.5):
             result = session.measure(_pictures(degrees)[1])
             error = result.displacement - _wanted(result.mesh.nodes, degrees)

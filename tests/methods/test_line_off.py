@@ -55,7 +55,7 @@ def find_errors(result: ddic.Result, jump: float) -> NDArray[np.float64]:
 @pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(("off", "turn"), [(2.0, 0.0), (-5.0, 0.0), (0.0, 2.0)])
 def test_a_line_that_is_off_is_refined(off: float, turn: float) -> None:
-    result = ddic.measure(pair(4.0), MESH, options=options(off, turn))
+    result = ddic.measure(pair(4.0), MESH, **options(off, turn))
     inside = FOOT + np.array([[-110.0], [110.0]]) * TANGENT
     start, end = line_of(result)
     normal = np.array([start[1] - end[1], end[0] - start[0]]) / np.linalg.norm(end - start)
@@ -67,7 +67,7 @@ def test_a_line_that_is_off_is_refined(off: float, turn: float) -> None:
 
 def test_a_line_in_its_place_stays_and_is_measured_with_once() -> None:
     asked = options(0.3)
-    with ddic.prepare(pair(4.0)[0], MESH, options=asked) as session:
+    with ddic.prepare(pair(4.0)[0], MESH, **asked) as session:
         result = session.measure(pair(4.0)[1])
         assert session.n_factorized == 1
     np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
@@ -76,13 +76,13 @@ def test_a_line_in_its_place_stays_and_is_measured_with_once() -> None:
 
 def test_without_uncertainty_the_line_is_taken_as_it_is() -> None:
     asked = options(2.0, uncertainty=0.0)
-    result = ddic.measure(pair(4.0), MESH, options=asked)
+    result = ddic.measure(pair(4.0), MESH, **asked)
     np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
 
 
 def test_what_a_line_takes_from_nodes_is_the_reason_of_a_singular_operator() -> None:
     with pytest.raises(SingularSubdomainError, match="stand beside a discontinuity: its line may be off") as caught:
-        ddic.measure(pair(6.0), MESH, options={**options(6.0, uncertainty=0.0), "solver": {"method": "monolithic"}})
+        ddic.measure(pair(6.0), MESH, **options(6.0, uncertainty=0.0), solver={"method": "monolithic"})
     assert "too little texture" not in str(caught.value)
 
 
@@ -118,7 +118,7 @@ def up_to(ahead: float, beside: float = 0.0, **keys: object) -> dict[str, object
 @pytest.mark.parametrize(("ahead", "beside", "cut_off"), [(-5.0, 0.0, 80.0), (4.0, 0.0, None), (-4.0, 2.5, None)])
 def test_a_tip_that_is_off_is_refined_with_its_line(ahead: float, beside: float, cut_off: float | None) -> None:
     held = {} if cut_off is None else {"regularization": {"cut_off_wavelength": cut_off}}
-    with ddic.prepare(cracked_pair()[0], MESH, options={**up_to(ahead, beside), **held}) as session:
+    with ddic.prepare(cracked_pair()[0], MESH, **up_to(ahead, beside), **held) as session:
         result = session.measure(cracked_pair()[1])
         again = session.measure(cracked_pair()[1])
     end = line_of(result)[1]
@@ -133,7 +133,7 @@ def test_a_tip_that_is_off_is_refined_with_its_line(ahead: float, beside: float,
 
 def test_a_tip_in_its_place_stays_and_is_measured_with_once() -> None:
     asked = up_to(0.3)
-    with ddic.prepare(cracked_pair()[0], MESH, options=asked) as session:
+    with ddic.prepare(cracked_pair()[0], MESH, **asked) as session:
         result = session.measure(cracked_pair()[1])
         assert session.n_factorized == 1
     np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
@@ -141,13 +141,13 @@ def test_a_tip_in_its_place_stays_and_is_measured_with_once() -> None:
 
 def test_without_tip_functions_a_line_may_go_on_beyond_the_tip() -> None:
     asked = up_to(30.0, tip_functions=False)
-    result = ddic.measure(cracked_pair(), MESH, options=asked)
+    result = ddic.measure(cracked_pair(), MESH, **asked)
     np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
 
 
 def test_a_tip_that_is_farther_off_than_it_may_be_stays_and_is_told() -> None:
     asked = up_to(-8.0, uncertainty=2.0)
-    result = ddic.measure(cracked_pair(), MESH, options=asked)
+    result = ddic.measure(cracked_pair(), MESH, **asked)
     np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
     assert "would move its tip by +" in str(result.attributes["case"]["notes"])
 

@@ -24,7 +24,7 @@ def _measure(element: float, **regularization: Any) -> tuple[NDArray[np.float64]
     noisy = [image + rng.normal(0.0, NOISE, image.shape) for image in (pair.reference, pair.deformed)]
     mesh = ddic.structured_mesh(REGION, element)
     settings = {"regularization": {"cut_off_wavelength": 32.0, **regularization}}
-    result = ddic.measure((noisy[0], noisy[1]), mesh, options=settings)
+    result = ddic.measure((noisy[0], noisy[1]), mesh, **settings)
     low, high = REGION[0], REGION[2]
     on_edge = ((mesh.nodes == low) | (mesh.nodes == high)).any(axis=1)
     return result.at(mesh.nodes) - WAVES.displacement(mesh.nodes), on_edge

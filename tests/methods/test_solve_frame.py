@@ -53,7 +53,7 @@ def settings(method: str = "dual", *, regularized: bool = False, **more: Any) ->
 @cache
 def measure_scene(name: str, method: str, regularized: bool) -> ddic.Result:
     """On all ranks, with Gauss-Newton's tolerances tight enough for methods to be compared."""
-    return ddic.measure(SCENES[name]().pair, MESH, options=settings_of(name, method, regularized))
+    return ddic.measure(SCENES[name]().pair, MESH, **settings_of(name, method, regularized))
 
 
 def settings_of(name: str, method: str, regularized: bool) -> Options:
@@ -68,8 +68,7 @@ def measure_all_alone() -> Mapping[tuple[str, bool], ddic.Result]:
 
     def measure_alone(case: tuple[str, bool]) -> ddic.Result:
         name, regularized = case
-        options = ddic.Options(settings_of(name, "dual", regularized), comm=MPI.COMM_SELF)
-        return ddic.measure(SCENES[name]().pair, MESH, options=options)
+        return ddic.measure(SCENES[name]().pair, MESH, comm=MPI.COMM_SELF, **settings_of(name, "dual", regularized))
 
     return dict(zip(cases, make_in_turn(measure_alone, cases), strict=True))
 
@@ -117,8 +116,8 @@ def test_any_linear_step_finds_the_same(name: str, regularized: bool) -> None:
 def test_nothing_is_excluded_of_a_clean_pair(options: Options) -> None:
     options = {"gauss_newton": TIGHT} | options
     correlation = options.get("correlation", {})
-    excluded, kept = (ddic.measure(clean().pair, MESH, options=options | {
-        "correlation": correlation | {"spoilt_pixels": what}}) for what in ("exclude", "keep"))
+    excluded, kept = (ddic.measure(clean().pair, MESH, **(options | {
+        "correlation": correlation | {"spoilt_pixels": what}})) for what in ("exclude", "keep"))
     assert (excluded.fields["excluded"] == KEPT).all()
     assert (kept.fields["excluded"] == KEPT).all()
     assert largest_difference(excluded, kept) <= 1e-6
@@ -128,7 +127,7 @@ def test_nothing_is_excluded_of_a_clean_pair(options: Options) -> None:
 @cache
 def measure_off_clean(regularized: bool) -> NDArray[np.float64]:
     """Errors of the nodes of a clean pair, with default settings, pixels."""
-    return off(ddic.measure(clean().pair, MESH, options=REGULARIZED if regularized else {}))
+    return off(ddic.measure(clean().pair, MESH, **(REGULARIZED if regularized else {})))
 
 
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
@@ -137,7 +136,7 @@ def measure_off_clean(regularized: bool) -> NDArray[np.float64]:
 def test_what_is_hidden_is_marked_and_spoils_nothing_else(box: tuple[int, int, int, int], kind: str,
                                                           regularized: bool) -> None:
     scene = hide(box, kind)
-    result = ddic.measure(scene.pair, MESH, options=REGULARIZED if regularized else {})
+    result = ddic.measure(scene.pair, MESH, **(REGULARIZED if regularized else {}))
     states, share = result.fields["excluded"], scene.count_hidden()
     # Pixels of cells that are hidden by less count or not one by one.
     assert (states[share > 0.6] != KEPT).all()
@@ -184,7 +183,7 @@ def test_a_result_has_values_beside_what_was_not_measured() -> None:
 
 def test_dirt_is_left_out_pixel_by_pixel() -> None:
     scene = soil(16, radius=1)
-    excluded, kept = (ddic.measure(scene.pair, MESH, options={"correlation": {"spoilt_pixels": what}})
+    excluded, kept = (ddic.measure(scene.pair, MESH, correlation={"spoilt_pixels": what})
                       for what in ("exclude", "keep"))
     of_clean = measure_off_clean(regularized=False)
     # Spots of 3 px and what about them is left out, 4 px on either side, are less than half of a cell.
@@ -223,7 +222,7 @@ def test_a_blurred_frame_is_met_by_a_blurred_reference() -> None:
 @pytest.mark.parametrize("options", [{}, REGULARIZED], ids=["plain", "regularized"])
 def test_a_frame_so_blurred_that_noise_hides_every_place_is_no_result(options: Options) -> None:
     with pytest.raises(ddic.ConvergenceError, match=r"noise alone moves nodes of .* by more than 0.15 px") as found:
-        ddic.measure(blur(6.0).pair, MESH, options=options)
+        ddic.measure(blur(6.0).pair, MESH, **options)
     last = found.value.result
     assert last is not None
     assert not last.converged
@@ -237,8 +236,8 @@ def test_a_frame_so_blurred_that_noise_hides_every_place_is_no_result(options: O
     (lambda g: g * (0.8 + 0.3 * np.arange(SIDE) / SIDE) + 20.0 * (np.arange(SIDE) / SIDE)[:, None], "element")])
 def test_auto_takes_the_correction_that_the_pair_needs(change_of_grey: Any, expected: str) -> None:
     scene = clean() if change_of_grey is None else change(change_of_grey)
-    automatic, asked = (ddic.measure(scene.pair, MESH, options={"gauss_newton": TIGHT, "correlation": {
-        "grey_correction": correction}}) for correction in ("auto", expected))
+    automatic, asked = (ddic.measure(scene.pair, MESH, gauss_newton=TIGHT, correlation={
+        "grey_correction": correction}) for correction in ("auto", expected))
     if expected == "element":
         # That, and the slope of the light inside elements.
         assert np.sqrt((off(automatic)**2).mean()) <= 0.9 * np.sqrt((off(asked)**2).mean())
@@ -249,8 +248,8 @@ def test_auto_takes_the_correction_that_the_pair_needs(change_of_grey: Any, expe
     if expected != "none":
         others.remove("none")  # which does not converge, or to another field
     for other in others:
-        different = ddic.measure(scene.pair, MESH, options={"gauss_newton": TIGHT, "correlation": {
-            "grey_correction": other, "spoilt_pixels": "keep"}})
+        different = ddic.measure(scene.pair, MESH, gauss_newton=TIGHT, correlation={
+            "grey_correction": other, "spoilt_pixels": "keep"})
         assert np.nanmax(np.abs(different.displacement - automatic.displacement)) > 1e-5
 
 
@@ -258,7 +257,7 @@ def test_auto_takes_the_correction_that_the_pair_needs(change_of_grey: Any, expe
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 def test_frames_of_a_session_equal_separate_measurements(regularized: bool) -> None:
     names = ["across", "clean", "whole", "dirt", "clean", "blur", "beside"]
-    with ddic.prepare(clean().reference, MESH, options=settings(regularized=regularized)) as session:
+    with ddic.prepare(clean().reference, MESH, **settings(regularized=regularized)) as session:
         found = [session.measure(SCENES[name]().deformed) for name in names]
     for result, name in zip(found, names, strict=True):
         assert largest_difference(result, measure_scene(name, "dual", regularized)) <= 1e-6
@@ -267,18 +266,18 @@ def test_frames_of_a_session_equal_separate_measurements(regularized: bool) -> N
 @pytest.mark.parallel([1, 3])
 def test_a_frame_starts_from_one_of_which_a_part_was_not_measured() -> None:
     options = settings()
-    with ddic.prepare(clean().reference, MESH, options=options) as session:
+    with ddic.prepare(clean().reference, MESH, **options) as session:
         hidden = session.measure(hide(ACROSS).deformed)
         found = session.measure(clean().deformed, from_last=True)
     assert np.isnan(hidden.displacement).any()
-    assert largest_difference(found, ddic.measure(clean().pair, MESH, options=options)) <= 1e-6
+    assert largest_difference(found, ddic.measure(clean().pair, MESH, **options)) <= 1e-6
 
 
 @pytest.mark.parallel([3])
 @pytest.mark.parametrize("name", ["whole", "blank"])
 def test_a_measurement_goes_on_from_a_result_of_which_a_part_was_not_measured(name: str) -> None:
     scene, options = SCENES[name](), settings()
-    with ddic.prepare(scene.reference, MESH, options=options) as session:
+    with ddic.prepare(scene.reference, MESH, **options) as session:
         first = session.measure(scene.deformed)
         again = session.measure(scene.deformed, start=first)
         assert np.isnan(first.displacement).any()
@@ -289,7 +288,7 @@ def test_a_measurement_goes_on_from_a_result_of_which_a_part_was_not_measured(na
         if name == "blank":
             return
         clear = session.measure(clean().deformed, start=first)
-    assert largest_difference(clear, ddic.measure(clean().pair, MESH, options=options)) <= 1e-6
+    assert largest_difference(clear, ddic.measure(clean().pair, MESH, **options)) <= 1e-6
 
 
 def test_products_go_on_from_a_result_of_which_a_part_was_not_measured() -> None:
@@ -297,14 +296,14 @@ def test_products_go_on_from_a_result_of_which_a_part_was_not_measured() -> None
     first = ddic.measure(scene.pair, MESH)
     assert np.isnan(first.displacement).any()
     structured = {"mesh": {"structured": {"region": [32, 32, 224, 224], "element_size": 16}}, "pgd": {}}
-    found = ddic.measure(clean().pair, options=structured, start=first)
+    found = ddic.measure(clean().pair, **structured, start=first)
     assert off(found).max() <= 3 * WITHIN
 
 
 def test_a_frame_that_shows_something_else_altogether_is_refused_with_its_last_field() -> None:
     other = hide((0, 0, SIDE, SIDE), "speckle")
     with pytest.raises(ddic.ConvergenceError) as caught:
-        ddic.measure(other.pair, MESH, options={"start": {"pyramid": False}})
+        ddic.measure(other.pair, MESH, start={"pyramid": False})
     result = caught.value.result
     assert result is not None
     assert result.displacement.shape == MESH.nodes.shape
@@ -374,10 +373,10 @@ def test_both_images_are_taken_as_they_are_where_that_is_asked_for(tmp_path: Pat
 def test_the_start_of_a_hidden_frame_moves_nodes_by_less_than_noise(regularized: bool) -> None:
     options = settings(regularized=regularized)
     corner = hide((0, 0, 66, 66), "grey")
-    with ddic.prepare(clean().reference, MESH, options=options) as session:
+    with ddic.prepare(clean().reference, MESH, **options) as session:
         session.measure(hide(ACROSS).deformed)
         found = session.measure(corner.deformed, from_last=True)
-    separate = ddic.measure(corner.pair, MESH, options=options)
+    separate = ddic.measure(corner.pair, MESH, **options)
     assert (found.fields["excluded"] != KEPT).sum() >= 4
     # Pixels at the rim of what is hidden are excluded where a tenth more or less of them would change: those of the
     # first fields stay. 0.009 px were measured, beside the hidden cells.

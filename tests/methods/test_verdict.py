@@ -35,7 +35,7 @@ def cover(image: Image, low: int, high: int, grey: int = 30) -> Image:
 
 def measure(reference: Image, deformed: Image, shift: tuple[int, int], **options: Any) -> ddic.Result:
     moved = np.roll(deformed, shift[::-1], (0, 1))
-    return ddic.measure((reference, moved), ddic.structured_mesh(BOX, 20), options=options)
+    return ddic.measure((reference, moved), ddic.structured_mesh(BOX, 20), **options)
 
 
 @pytest.mark.parametrize("method", ["conjugate_gradient", "dual"])

@@ -78,7 +78,7 @@ def static_pair() -> tuple[Array, Array]:
 def test_predicted_noise_is_what_probes_read_on_images_that_did_not_move(
         static_pair: tuple[Array, Array], options: dict[str, dict[str, float]]) -> None:
     mesh = ddic.structured_mesh((10, 10, 470, 470), 10)
-    result = ddic.measure(static_pair, mesh, options={**options, "solver": {"method": "monolithic"}})
+    result = ddic.measure(static_pair, mesh, **options, solver={"method": "monolithic"})
     inner = ((mesh.nodes > 60) & (mesh.nodes < 420)).all(axis=1)
     sigma = float(np.sqrt((result.displacement[inner]**2).mean()))
     probes = {"gauge 20": lambda at: ddic.StrainGauge("g", at, 20),

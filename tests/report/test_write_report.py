@@ -122,11 +122,13 @@ def test_what_is_stated(folder: Path) -> None:
 
 
 def change(folder: Path, target: Path, *, summary: dict[str, Any] | None = None,
-           images: dict[str, Any] | None = None, uncertainty: dict[str, Any] | None = None) -> dict[str, str]:
-    """What is stated where the summary, the case's images or the uncertainty say something else."""
+           images: dict[str, Any] | None = None, regularization: dict[str, Any] | None = None,
+           uncertainty: dict[str, Any] | None = None) -> dict[str, str]:
+    """What is stated where the summary, two sections of the case or the uncertainty say something else."""
     result = read_result(folder / "result.vtkhdf")
     case = json.loads(str(result.attributes["case"]["json"]))
     case["images"] |= images or {}
+    case["regularization"] |= regularization or {}
     attributes = {**result.attributes, "case": {**result.attributes["case"], "json": json.dumps(case)}}
     if uncertainty:
         attributes["uncertainty"] = uncertainty
@@ -141,6 +143,13 @@ def test_noise_is_that_which_was_measured(folder: Path, tmp_path: Path) -> None:
     assert stated["Image noise"] == "2.06 grey levels (of the images at rest)"
     asked = change(folder, tmp_path, images={"at_rest": "rest.tif"})["Image noise"]
     assert asked.endswith("all noise; images.at_rest is measured with output.uncertainty = true alone")
+
+
+def test_the_material_is_stated(folder: Path, tmp_path: Path) -> None:
+    assert change(folder, tmp_path)["Material"] == "isotropic, Poisson's ratio 0.3, plane stress"
+    of_composite = {"young_ratio": 15.0, "material_angle_degrees": 30.0}
+    assert change(folder, tmp_path, regularization=of_composite)["Material"] == (
+        "orthotropic, E1 / E2 = 15, G12 / E2 = 0.3846, nu12 = 0.3, axis 1 at 30 degrees from +x to +y, plane stress")
 
 
 def test_a_blurred_reference_is_stated_as_a_filter(folder: Path, tmp_path: Path) -> None:
@@ -222,7 +231,7 @@ def test_a_field_that_did_not_converge_is_no_result(tmp_path: Path) -> None:
     pair = ddic.make_synthetic_pair(lambda points: np.full_like(points, 0.3), (120, 120), seed=1)
     options = {"gauss_newton": {"max_iterations": 1, "rms_tolerance": 1e-12, "tolerance": 1e-12}}
     with pytest.raises(ConvergenceError) as raised:
-        ddic.measure(pair, ddic.structured_mesh((10, 10, 110, 110), 20), options=options)
+        ddic.measure(pair, ddic.structured_mesh((10, 10, 110, 110), 20), **options)
     ddic.write_report(raised.value.result, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "This field did not converge: " in page

@@ -134,6 +134,6 @@ def test_a_measurement_carries_its_verdict() -> None:
 
 def test_products_carry_a_verdict_too() -> None:
     options = {"pgd": {}, "mesh": {"structured": {"region": [32, 32, 224, 224], "element_size": 16}}}
-    trusted = ddic.measure(spoilt.clean().pair, options=options)
+    trusted = ddic.measure(spoilt.clean().pair, **options)
     assert trusted.verdict is not None
     assert trusted.verdict.word == TRUST

@@ -71,7 +71,7 @@ def test_complete_sum_is_the_field_of_q4_elements(update: bool, wavelength: floa
     solution = _correct(frame, scheme=Scheme(update=update), rules=EXACT, regularization=regularization)
     pair = pair_of(WAVES)
     settings = {**COMPLETE, **({} if wavelength is None else {"regularization": {"cut_off_wavelength": wavelength}})}
-    q4 = ddic.measure((pair.reference, pair.deformed), ddic.structured_mesh(REGION, 24), options=settings)
+    q4 = ddic.measure((pair.reference, pair.deformed), ddic.structured_mesh(REGION, 24), **settings)
     if regularization is not None:
         assert regularization.weight == pytest.approx(q4.attributes["case"]["eta"], rel=1e-12)
     # Residuals are stored as float32; without update, what small corrections leave adds up.

@@ -25,14 +25,17 @@ MESH = build_structured_mesh((3.0, 5.0, 20.5, 25.0), 2.7)
 ALONG_X, ALONG_Y = (LineElements(np.unique(MESH.nodes[:, axis])) for axis in range(2))
 N = MESH.n_nodes
 MATERIAL = Material(0.3, "strain")
+ALONG_X_AXIS, ALONG_Y_AXIS = (Material(0.3, "stress", 3.0, 0.6, angle) for angle in (0.0, np.pi / 2))
+MATERIALS = pytest.mark.parametrize("material", [MATERIAL, ALONG_X_AXIS, ALONG_Y_AXIS],
+                                    ids=["isotropic", "axis 1 along x", "axis 1 along y"])
 SAME = 1e-13
 """Sums of a few products of numbers of size 1 to 10."""
 
 
-def _stiffness() -> np.ndarray:
+def _stiffness(material: Material = MATERIAL) -> np.ndarray:
     order = np.lexsort((MESH.nodes[:, 0], MESH.nodes[:, 1]))
     dofs = (2 * order[:, None] + np.arange(2)).ravel()
-    return assemble_stiffness(MESH, MATERIAL).toarray()[np.ix_(dofs, dofs)]
+    return assemble_stiffness(MESH, material).toarray()[np.ix_(dofs, dofs)]
 
 
 def _lines(sides: str) -> ControlledLines:
@@ -41,22 +44,24 @@ def _lines(sides: str) -> ControlledLines:
     return lines
 
 
-def test_stiffness_is_that_of_q4() -> None:
+@MATERIALS
+def test_stiffness_is_that_of_q4(material: Material) -> None:
     matrix = np.zeros((N, 2, N, 2))
-    for (c, d), products in factorize_stiffness(ALONG_X, ALONG_Y, MATERIAL).items():
+    for (c, d), products in factorize_stiffness(ALONG_X, ALONG_Y, material).items():
         for x, y in products:
             matrix[:, c, :, d] += np.kron(dense(y), dense(x))
-    assert np.abs(matrix.reshape(2 * N, 2 * N) - _stiffness()).max() <= SAME
+    assert np.abs(matrix.reshape(2 * N, 2 * N) - _stiffness(material)).max() <= SAME
 
 
 @pytest.mark.parametrize("sides", ["", "lrtb", "l", "tb"])
 @pytest.mark.parametrize("edge_weight", [0.0, 0.3])
-def test_equilibrium_gap_is_that_of_q4(sides: str, edge_weight: float) -> None:
+@MATERIALS
+def test_equilibrium_gap_is_that_of_q4(sides: str, edge_weight: float, material: Material) -> None:
     lines = _lines(sides)
     is_controlled = np.repeat(np.outer(lines.y, lines.x).ravel(), 2)
     p = np.where(is_controlled, 1.0, edge_weight)
-    k = _stiffness()
-    found = dense_operator(build_equilibrium_gap(ALONG_X, ALONG_Y, MATERIAL, lines, edge_weight))
+    k = _stiffness(material)
+    found = dense_operator(build_equilibrium_gap(ALONG_X, ALONG_Y, material, lines, edge_weight))
     assert np.abs(found - k.T @ (p[:, None]**2 * k)).max() <= 10 * SAME
 
 
@@ -89,6 +94,18 @@ def test_waves_have_the_energies_of_q4() -> None:
         assert np.abs(values - column.reshape(N, 2)[order]).max() <= SAME
     expected = measure_gap_energies(MESH, MATERIAL, inner, 11.0)
     assert np.allclose(measure_wave_gaps(ALONG_X, ALONG_Y, MATERIAL, waves), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("material", [ALONG_X_AXIS, ALONG_Y_AXIS], ids=["axis 1 along x", "axis 1 along y"])
+def test_waves_of_a_composite_have_the_energies_of_q4(material: Material) -> None:
+    inner = np.ones(N, bool)
+    inner[find_boundary_nodes(MESH)] = False
+    waves = build_plane_waves(ALONG_X, ALONG_Y, 11.0)
+    found = measure_wave_gaps(ALONG_X, ALONG_Y, material, waves).reshape(4, 2).sum(axis=1)
+    expected = measure_gap_energies(MESH, material, inner, 11.0).reshape(4, 2).sum(axis=1)
+    # Where axis 1 is along y, those of y come first.
+    in_order = expected if material is ALONG_X_AXIS else expected[::-1]
+    assert np.allclose(found, in_order, rtol=1e-12)
 
 
 def test_gradients_of_waves_grow_with_their_inverse_length_squared() -> None:

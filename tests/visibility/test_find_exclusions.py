@@ -32,8 +32,8 @@ def test_cells_whose_rows_are_empty_at_a_tip_are_searched(tip: float, end: str) 
     # A spot of 2 px and what is left out about it are less than half of a cell of 128 px.
     scene = hide((x, y, x + 2, y + 2))
     options = {"regularization": {"cut_off_wavelength": 60}, "correlation": {"grey_correction": "none"}}
-    result = ddic.measure(scene.pair, mesh, options=options)
-    of_clean = ddic.measure(clean().pair, mesh, options=options)
+    result = ddic.measure(scene.pair, mesh, **options)
+    of_clean = ddic.measure(clean().pair, mesh, **options)
     assert np.delete(result.fields["excluded"] == KEPT, cell).all()
     # The tip itself has but the corners of one cell's pixels that are left.
     others = np.setdiff1d(np.arange(mesh.n_nodes), mesh.connectivity.reshape(-1, 4)[cell])
@@ -63,7 +63,7 @@ def test_what_the_image_does_not_hold_is_unseen(regularized: bool) -> None:
     padded = np.zeros_like(reference)
     padded[:, :columns] = cut
     options = {"regularization": {"cut_off_wavelength": 100}} if regularized else {}
-    result = ddic.measure((reference, ddic.Image(padded, mask=mask)), MESH, options=options)
+    result = ddic.measure((reference, ddic.Image(padded, mask=mask)), MESH, **options)
     states = result.fields["excluded"]
     moved = MESH.nodes + FIELD.displacement(MESH.nodes)
     of_cells = moved[MESH.connectivity.reshape(-1, 4), 0]
@@ -79,7 +79,7 @@ def test_what_the_image_does_not_hold_is_unseen(regularized: bool) -> None:
 def test_a_start_that_is_far_off_excludes_nothing_at_once() -> None:
     # From rest, 2.8 px off: everything stands out, and nothing is spoilt.
     options = {"start": dict.fromkeys(("rigid", "features", "pyramid", "independent"), False)}
-    result = ddic.measure(clean().pair, MESH, options=options)
+    result = ddic.measure(clean().pair, MESH, **options)
     assert (result.fields["excluded"] == KEPT).all()
     assert np.linalg.norm(result.displacement - FIELD.displacement(MESH.nodes), axis=1).max() <= 0.1
 

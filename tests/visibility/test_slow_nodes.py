@@ -188,9 +188,9 @@ def test_slow_nodes_are_found_where_all_nodes_together_find_them() -> None:
 def test_a_measurement_that_iterates_slow_nodes_alone_finds_the_same_field(
         name: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     scene = hide((100, 110, 150, 160)) if name == "across" else blank_half()
-    confined = ddic.measure(scene.pair, SPOILT_MESH, options=options)
+    confined = ddic.measure(scene.pair, SPOILT_MESH, **options)
     monkeypatch.setattr("ddic.visibility.solved_frame.MOST_SLOW", -1.0)
-    everywhere = ddic.measure(scene.pair, SPOILT_MESH, options=options)
+    everywhere = ddic.measure(scene.pair, SPOILT_MESH, **options)
     n_visited, n_pixels = (np.array(result.gauss_newton["n_pixels"]) for result in (confined, everywhere))
     # The last pass is one over all.
     assert n_visited.min() < MOST_VISITED * n_visited[-1]
@@ -207,7 +207,7 @@ def test_slow_nodes_that_run_away_alone_are_found_with_all_others(monkeypatch: p
     scene = hide((100, 110, 150, 160))
     # Else a look at the frame would tell what hides it, and what is left converges.
     options = {"correlation": {"spoilt_pixels": "keep"}, "regularization": {"cut_off_wavelength": 64}}
-    everywhere = ddic.measure(scene.pair, SPOILT_MESH, options=options)
+    everywhere = ddic.measure(scene.pair, SPOILT_MESH, **options)
     linearize = SlowNodes.linearize
 
     def push_away(self: SlowNodes, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
@@ -215,7 +215,7 @@ def test_slow_nodes_that_run_away_alone_are_found_with_all_others(monkeypatch: p
         return b.map(lambda _, b_s, rows: np.where(rows, -b_s, b_s), self.rows), grey
 
     monkeypatch.setattr(SlowNodes, "linearize", push_away)
-    found = ddic.measure(scene.pair, SPOILT_MESH, options=options)
+    found = ddic.measure(scene.pair, SPOILT_MESH, **options)
     n_visited = np.array(found.gauss_newton["n_pixels"])
     assert n_visited.min() < MOST_VISITED * n_visited[-1]
     # What each still has to go is as much as the last correction, which is below 1e-3 px.
@@ -277,8 +277,8 @@ def test_what_neither_pixels_nor_mechanics_hold_is_known_to_be_nowhere_else() ->
 def test_a_clean_pair_has_the_field_of_all_iterations_within_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     default = ddic.measure(clean().pair, SPOILT_MESH)
     monkeypatch.setattr("ddic.visibility.solved_frame.MOST_SLOW", -1.0)
-    tight = ddic.measure(clean().pair, SPOILT_MESH, options={"gauss_newton": {"rms_tolerance": 1e-9,
-                                                                              "tolerance": 1e-13}})
+    tight = ddic.measure(clean().pair, SPOILT_MESH, gauss_newton={"rms_tolerance": 1e-9,
+                                                                              "tolerance": 1e-13})
     error = np.linalg.norm(default.displacement - tight.displacement, axis=1)
     noise = np.linalg.norm(tight.displacement - FIELD.displacement(SPOILT_MESH.nodes), axis=1)
     # A twentieth of a node's deviation, or 1e-3 px, are still to go at the last correction, and the next is smaller.

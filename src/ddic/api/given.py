@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from mpi4py import MPI
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
 from ddic.case.loader import LoadedCase, convert_shorthand, convert_to_case
-from ddic.case.schema import Case
+from ddic.case.named_files import find_frames
+from ddic.case.schema import Case, ImagesSection, NearSection
 from ddic.check.case import check_case, load_checked_case
-from ddic.errors import InputError, as_collective
+from ddic.errors import InputError, as_collective, refuse_unknown_arguments
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import check_finite, find_saturation
 from ddic.images.source import ImageSource
@@ -37,56 +38,100 @@ from ddic.start.given_start import GivenStart, keep_displacement
 if TYPE_CHECKING:
     import meshio
 
+    MeshLike: TypeAlias = Mesh | meshio.Mesh | tuple[Any, Any]
+    """A mesh in memory: ours, one of meshio, or the arrays (nodes, cells)."""
+
+ARGUMENTS = Path("arguments")
+"""What messages call what a program gives in place of a case file."""
+
 ChooseKinematics = Callable[[Mesh], RegionKinematics]
 """From the whole mesh, repaired, to its kinematics."""
 
-_NO_PATH = "in memory"
-_IN_MEMORY = {
-    "images": ("pixel_size", "length_unit", "reference_time", "deformed_time", "noise", "at_rest"),
-    "mesh": ("mapping",),
-    "output": ("residual_image", "flip_y", "uncertainty"),
-}
-"""Keys that settings may hold of the sections for which arguments stand."""
+_IN_MEMORY = "in memory"
+"""In place of the name of an image that is given in memory."""
 
 
 @dataclass(frozen=True, eq=False)
-class Options:
-    """How to measure.
+class Arguments:
+    """What a program gives beside images: sections of a case, and what is in memory in place of files that they name.
 
     Attributes
     ----------
-    settings : mapping
-        Sections and keys of a case file, such as ``{"regularization": {"cut_off_wavelength": 60}}``.
-    kinematics : callable, optional
-        From the mesh to its kinematics; by default the unknowns are the displacements of the nodes.
-    comm : mpi4py.MPI.Comm, optional
-        The ranks that measure together; by default all that were started.
+    sections : dict
+        Without what is in memory.
+    reference, deformed : Image, array, str, Path or None
+        None where the section of images does not name them.
+    mesh : Mesh, meshio.Mesh, tuple of arrays or None
+        None where the sections say it.
+    start : Result, pair of arrays or None
+        A displacement to start from; None where the sections say it.
+    output : Path or None
+        The result file; None where none is to be written.
+    kinematics : callable or None
+        From the mesh to its kinematics.
     """
 
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    kinematics: ChooseKinematics | None = None
-    comm: MPI.Comm | None = None
+    sections: dict[str, Any]
+    reference: Any
+    deformed: Any
+    mesh: Any
+    start: Any
+    output: Path | None
+    kinematics: ChooseKinematics | None
 
 
-def choose_options(options: Options | Mapping[str, Any] | None) -> Options:
-    """Look at the options that the user gave, or at the settings; raises InputError where they are of another type."""
-    chosen = options if isinstance(options, Options) else Options({} if options is None else options)
-    if not isinstance(chosen.settings, Mapping):
-        raise InputError(f"options: {type(chosen.settings).__name__} given; give sections and keys of a case file, "
-                         'such as {"regularization": {"cut_off_wavelength": 60}}, or ddic.Options')
-    if chosen.comm is not None and not isinstance(chosen.comm, MPI.Comm):
-        raise InputError(f"options: comm is of type {type(chosen.comm).__name__}; give a communicator of mpi4py")
-    if chosen.kinematics is not None and not callable(chosen.kinematics):
-        raise InputError(f"options: kinematics is of type {type(chosen.kinematics).__name__}; give a function that "
-                         "makes it of the mesh, such as lambda mesh: ddic.LinearRegion(mesh, matrix)")
-    return chosen
+def sort_arguments(sections: Mapping[str, Any], *, mesh: Any = None, start: Any = None, output: Any = None,
+                   kinematics: Any = None, comm: Any = None) -> Arguments:
+    """Sort what a program gives, None being nothing; raises InputError where it is of another type, or no section.
+
+    ``mesh``, ``start`` and ``output`` are sections, or what these name by ``file``, ``from_result`` or ``from_points``,
+    and ``file``.
+    """
+    refuse_unknown_arguments(sections, [*Case.model_fields, "kinematics", "comm"])
+    if comm is not None and not isinstance(comm, MPI.Comm):
+        raise InputError(f"comm: {type(comm).__name__} given; give a communicator of mpi4py")
+    if kinematics is not None and not callable(kinematics):
+        raise InputError(f"kinematics: {type(kinematics).__name__} given; give a function that makes it of the mesh, "
+                         "such as lambda mesh: ddic.LinearRegion(mesh, matrix)")
+    kept = {name: section for name, section in sections.items() if section is not None}
+    is_result = isinstance(start, Result | str | Path)
+    named = (("mesh", "file", mesh), ("start", "from_result" if is_result else "from_points", start),
+             ("output", "file", output))
+    for name, key, given in named:
+        if given is not None:
+            kept[name] = given if isinstance(given, Mapping) else {key: given}
+    images = {key: _take_out(kept, "images", key) for key in ("reference", "deformed")}
+    starts = [_take_from_memory(kept, "start", key) for key in ("from_result", "from_points")]
+    if None not in starts:
+        raise InputError("start.from_result and start.from_points: give one of them")
+    file = _take_out(kept, "output", "file")
+    return Arguments(kept, images["reference"], images["deformed"], _take_from_memory(kept, "mesh", "file"),
+                     next((start for start in starts if start is not None), None),
+                     None if file is None else as_path(file, "output"), kinematics)
 
 
-def choose_team(options: Options | Mapping[str, Any] | None) -> Team:
-    """Choose the ranks that measure together: those that options name, or all."""
-    if isinstance(options, Options) and isinstance(options.comm, MPI.Comm):
-        return Team(options.comm)
-    return Team.world()
+def _take_out(sections: dict[str, Any], name: str, key: str) -> Any:
+    """Take a key out of a section, with the section where nothing is left of it; None where there is no such key."""
+    section = sections.get(name)
+    if not isinstance(section, Mapping) or key not in section:
+        return None
+    rest = {other: value for other, value in section.items() if other != key}
+    sections.pop(name)
+    if rest:
+        sections[name] = rest
+    return section[key]
+
+
+def _take_from_memory(sections: dict[str, Any], name: str, key: str) -> Any:
+    """Take what stands for a file out of a section; None where it names a file, or nothing."""
+    section = sections.get(name)
+    is_file = isinstance(section, Mapping) and isinstance(section.get(key), str | Path)
+    return None if is_file else _take_out(sections, name, key)
+
+
+def choose_team(comm: MPI.Comm | None) -> Team:
+    """Choose the ranks that measure together: those of a communicator, or all."""
+    return Team(comm) if isinstance(comm, MPI.Comm) else Team.world()
 
 
 def check_kinematics(kinematics: ChooseKinematics | None) -> ChooseKinematics | None:
@@ -123,41 +168,34 @@ def load_given_case(source: object, place: Path, n_ranks: int, output: Path | No
     return loaded
 
 
-def make_case(settings: Mapping[str, Any]) -> Case:
-    """Make a case of settings, sections and keys of a case file; what else such a file holds is in memory.
+def make_case(sections: Mapping[str, Any]) -> Case:
+    """Make a case of sections; images and mesh are in memory where they name none.
 
     Raises InputError with a line for each unknown key, wrong type and impossible value.
     """
     try:
-        data: dict[str, Any] = convert_shorthand(json.loads(json.dumps(dict(settings), default=_plain)))
+        data: dict[str, Any] = convert_shorthand(json.loads(json.dumps(dict(sections), default=_plain)))
     except TypeError as error:
-        raise InputError(f"options: {error}") from error
-    _refuse_what_arguments_say(data)
-    return convert_to_case(_complete(data), "options")
-
-
-def _refuse_what_arguments_say(data: Mapping[str, Any]) -> None:
-    for name, keys in _IN_MEMORY.items():
-        given = data.get(name)
-        # Elements of a pixel are too many for a mesh in memory.
-        known = (*keys, "structured") if name == "mesh" and "pgd" in data else keys
-        # Of another type it is a mistake that the schema tells.
-        unknown = [key for key in given if key not in known] if isinstance(given, dict) else []
-        if unknown:
-            listed = ", ".join(f"{name}.{key}" for key in known)
-            raise InputError(f"options: {name}.{unknown[0]} is for case files; give what it says as an argument. Valid "
-                             f"here: {listed}")
+        raise InputError(f"{ARGUMENTS}: {error}") from error
     if "near" in data:
-        raise InputError("options: near fields need a case; measure a case file, or prepare one and measure its frames")
+        raise InputError(f"{ARGUMENTS}: near fields need a case; measure a case file, or prepare one and measure its "
+                         "frames")
+    return find_frames(convert_to_case(_complete(data), str(ARGUMENTS)), ARGUMENTS)
+
+
+def is_mesh_named(sections: Mapping[str, Any]) -> bool:
+    """Tell whether sections say the mesh, which is in memory else."""
+    section = sections.get("mesh")
+    return isinstance(section, Mapping) and bool({"file", "structured"} & set(section))
 
 
 def _complete(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with names in place of the files that a case must name."""
+    """Sections with names in place of the files that a case must name."""
     images, mesh = data.get("images", {}), data.get("mesh", {})
     return {
         **data,
-        "images": {"reference": _NO_PATH, "deformed": _NO_PATH, **images} if isinstance(images, dict) else images,
-        "mesh": {"file": "mesh", **mesh} if isinstance(mesh, dict) and "structured" not in mesh else mesh,
+        "images": {"reference": _IN_MEMORY, "deformed": _IN_MEMORY, **images} if isinstance(images, dict) else images,
+        "mesh": mesh if is_mesh_named(data) or not isinstance(mesh, dict) else {"file": "mesh", **mesh},
     }
 
 
@@ -174,7 +212,7 @@ def _plain(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A grey-level image with what is left out of it.
+    """A grey-level image with what is left out of it, in place of what a case says of masks and saturation.
 
     Attributes
     ----------
@@ -197,6 +235,11 @@ class Image:
 
 ImageLike = Image | NDArray[Any] | str | Path
 """An image, its grey levels (height, width), or its file."""
+
+
+def make_image(given: ImageLike, section: ImagesSection | NearSection, mask: Path | None) -> Image:
+    """Make an image with what the case says of its camera's pixels, and its mask; a ``ddic.Image`` says both itself."""
+    return given if isinstance(given, Image) else Image(given, mask, section.exclude_saturated, section.saturation)
 
 
 def open_given_image(team: Team, given: ImageLike, name: str, *, keeps: bool = False) -> MaskedSource:
@@ -289,10 +332,10 @@ def _convert_to_pixels(given: Any, name: str) -> NDArray[Any]:
     return values
 
 
-_EXPECTED = "give one of ddic.structured_mesh or meshio, or the arrays (nodes, cells)"
+_EXPECTED = "give one of ddic.structured_mesh or meshio, the arrays (nodes, cells), or a mesh file"
 
 
-def convert_given_mesh(given: Mesh | meshio.Mesh | tuple[Any, Any], mapping: Similarity) -> Mesh:
+def convert_given_mesh(given: MeshLike, mapping: Similarity) -> Mesh:
     """Convert a mesh that the user gave to one in pixels, not yet repaired; ``mapping`` is from its units to these.
 
     Raises InputError where it is no plane mesh of triangles and quadrilaterals.

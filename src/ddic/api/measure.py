@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,28 +13,35 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from ddic.api.given import (
+    ARGUMENTS,
+    Arguments,
+    ChooseKinematics,
     ImageLike,
-    Options,
     StartLike,
     check_kinematics,
-    choose_options,
     choose_team,
     convert_given_mesh,
     convert_start,
+    is_mesh_named,
     load_given_case,
     make_case,
+    make_image,
     open_given_image,
+    sort_arguments,
 )
-from ddic.case.loader import LoadedCase
+from ddic.case.loader import LoadedCase, list_unused_keys
+from ddic.case.methods import find_method
+from ddic.case.named_files import list_cameras
 from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
-from ddic.check.case import check_mesh, check_ranks
-from ddic.errors import ConvergenceError, DdicError, InputError
+from ddic.check.case import check_mesh, check_most_ranks, check_ranks
+from ddic.errors import ConvergenceError, DdicError, InputError, Problems
 from ddic.images.grey_levels import find_saturation
+from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import Camera, Frame, make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
-from ddic.inputs.mesh_source import accept_mesh, convert_mapping
+from ddic.inputs.mesh_source import accept_mesh, build_meshes, convert_mapping
 from ddic.io.input_file import as_path
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
@@ -41,13 +49,16 @@ from ddic.methods.fe_dic import is_line_wanted
 from ddic.methods.method import MethodSession, prepare_session
 from ddic.methods.run import keep_failed_run, remove_failed_field
 from ddic.parallel.phases import PhaseClock
-from ddic.parallel.team import Team, require_held
+from ddic.parallel.team import Team
+from ddic.partition.ties import Tying
 from ddic.results.listener import Silence
 from ddic.results.publishing import Publishable, gather, publish
 from ddic.start.given_start import GivenStart
 
 if TYPE_CHECKING:
-    import meshio
+    from mpi4py import MPI
+
+    from ddic.api.given import MeshLike
 
 
 FRAMES = 10
@@ -161,8 +172,10 @@ class Session:
         """Open a deformed image of each camera; collective."""
         cameras = self._inputs.cameras
         names = ["deformed image"] if len(cameras) == 1 else [f"deformed image, {camera.label}" for camera in cameras]
+        complete = [make_image(image, section, section.deformed_mask)
+                    for image, section in zip(images, list_cameras(self._inputs.case), strict=True)]
         return tuple(self._open_deformed(image, camera, name)
-                     for image, camera, name in zip(images, cameras, names, strict=True))
+                     for image, camera, name in zip(complete, cameras, names, strict=True))
 
     def _convert_start(self, start: StartLike | None) -> GivenStart | None:
         return self._team.alike(lambda: convert_start(self._team, start, self._inputs.cameras[0].reference))
@@ -211,26 +224,36 @@ def _check_same_size(image: MaskedSource, reference: MaskedSource, name: str) ->
                          f"{wanted.height} px; give images of one size")
 
 
-def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
-            mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None = None, *,
-            options: Options | Mapping[str, Any] | None = None, start: StartLike | None = None,
-            output: str | Path | None = None) -> Result:
+def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike] | None = None,
+            mesh: MeshLike | str | Path | Mapping[str, Any] | None = None, *,
+            start: StartLike | Mapping[str, Any] | None = None, output: str | Path | Mapping[str, Any] | None = None,
+            kinematics: ChooseKinematics | None = None, comm: MPI.Comm | None = None, **sections: Any) -> Result:
     """Measure the displacement between two images; collective under mpirun.
+
+    Every section of a case file is an argument of the same name, and its keys are the same:
+    ``measure(images, mesh, regularization={"cut_off_wavelength": 60})``. Where a key names a file, what is in memory
+    may stand in its place.
 
     Parameters
     ----------
-    source : str, Path, Case, LoadedCase or pair of images
+    source : str, Path, Case, LoadedCase or pair of images, optional
         A case file, a case, or the reference image and the deformed one: arrays (height, width), files or ``Image``.
-    mesh : Mesh, meshio.Mesh or tuple of arrays, optional
-        With a pair of images: the mesh in pixels, as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)). Beside
-        ``pgd`` the options' ``mesh.structured`` may stand for it.
-    options : Options or mapping, optional
-        Sections and keys of a case file, for a pair of images, or these with kinematics and a communicator.
-    start : Result or pair of (n, 2) arrays, optional
+        The section ``images`` may name them in its place.
+    mesh : Mesh, meshio.Mesh, tuple of arrays, str, Path or mapping, optional
+        With a pair of images: the mesh in pixels, as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)); a mesh
+        file; or the section ``mesh``, whose ``file`` may be any of these.
+    start : Result, pair of (n, 2) arrays or mapping, optional
         A displacement to start from, in place of what a case says: an earlier result, or points and their displacement,
-        pixels of the reference image. Where the images do not bear it out, the search goes on from it.
-    output : str or Path, optional
-        Result file to write as well; none by default, also where a case names one.
+        pixels of the reference image; or the section ``start``, whose ``from_result`` and ``from_points`` may be these.
+        Where the images do not bear it out, the search goes on from it.
+    output : str, Path or mapping, optional
+        Result file to write as well, or the section ``output``; none by default, also where a case names one.
+    kinematics : callable, optional
+        From the mesh to its kinematics; by default the unknowns are the displacements of the nodes.
+    comm : mpi4py.MPI.Comm, optional
+        The ranks that measure together; by default all that were started.
+    **sections
+        Other sections and keys of a case file, for a pair of images: ``regularization``, ``solver``, ``title``, ...
 
     Returns
     -------
@@ -242,30 +265,36 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike],
     InputError, ConvergenceError, SingularSubdomainError
         On all ranks; the second has the last field, not converged, as ``result``.
     """
-    team = choose_team(options)
+    team = choose_team(comm)
+    given = team.together(lambda: sort_arguments(sections, mesh=mesh, start=start, output=output,
+                                                 kinematics=kinematics, comm=comm))
     if isinstance(source, str | Path | Case | LoadedCase):
-        inputs, frame = _open_case(team, source, mesh, options, output)
+        inputs, frame = _open_case(team, source, given)
         with Session(team, inputs) as session:
-            given = session._convert_start(start)
-            return session._measure_frame(frame, given, None if output is None else Path(output))
-    reference, deformed = team.together(lambda: _pair(source))
-    with _prepare(reference, mesh, options, 1) as session:
-        return session.measure(deformed, start=start, output=output)
+            return session._measure_frame(frame, session._convert_start(given.start), given.output)
+    reference, deformed = team.together(lambda: _pair(source, given))
+    with _prepare(team, reference, given, 1) as session:
+        return session.measure(deformed, start=given.start, output=given.output)
 
 
-def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None = None, *,
-            options: Options | Mapping[str, Any] | None = None) -> Session:
+def prepare(source: ImageLike | Case | LoadedCase | None = None,
+            mesh: MeshLike | str | Path | Mapping[str, Any] | None = None, *,
+            kinematics: ChooseKinematics | None = None, comm: MPI.Comm | None = None, **sections: Any) -> Session:
     """Prepare a reference image for any number of deformed ones; collective under mpirun.
 
     Parameters
     ----------
-    source : Image, (height, width) array, str, Path, Case or LoadedCase
-        The reference image, of which an array is copied; or a case, or a case file whose name ends in .toml.
-    mesh : Mesh, meshio.Mesh or tuple of arrays, optional
-        With an image: pixels; as a tuple (nodes (n_nodes, 2), cells (n_cells, 3 or 4)). Beside ``pgd`` the options'
-        ``mesh.structured`` may stand for it.
-    options : Options or mapping, optional
-        Sections and keys of a case file, for an image, or these with kinematics and a communicator.
+    source : Image, (height, width) array, str, Path, Case or LoadedCase, optional
+        The reference image, of which an array is copied; or a case, or a case file whose name ends in .toml. The
+        section ``images`` may name the reference image in its place.
+    mesh : Mesh, meshio.Mesh, tuple of arrays, str, Path or mapping, optional
+        With an image: as ``measure`` takes it.
+    kinematics : callable, optional
+        From the mesh to its kinematics; by default the unknowns are the displacements of the nodes.
+    comm : mpi4py.MPI.Comm, optional
+        The ranks that measure together; by default all that were started.
+    **sections
+        Other sections and keys of a case file, for an image.
 
     Returns
     -------
@@ -277,71 +306,107 @@ def prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tu
     InputError, SingularSubdomainError
         On all ranks.
     """
-    return _prepare(source, mesh, options, FRAMES)
-
-
-def _prepare(source: ImageLike | Case | LoadedCase, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None,
-             options: Options | Mapping[str, Any] | None, n_frames: int) -> Session:
-    """A session for as many frames as are expected; collective."""
-    team = choose_team(options)
+    team = choose_team(comm)
+    given = team.together(lambda: sort_arguments(
+        sections, mesh=mesh, start=sections.get("start"), output=sections.get("output"), kinematics=kinematics,
+        comm=comm))
+    team.together(lambda: _refuse_what_frames_are_given(given))
     if isinstance(source, Case | LoadedCase) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
-        inputs, _ = _open_case(team, source, mesh, options, None)
-        return Session(team, replace(inputs, n_frames=n_frames))
+        inputs, _ = _open_case(team, source, given)
+        return Session(team, replace(inputs, n_frames=FRAMES))
+    return _prepare(team, given.reference if source is None else source, given, FRAMES)
 
+
+def _refuse_what_frames_are_given(given: Arguments) -> None:
+    frames = {"images.deformed": given.deformed, "start": given.start, "output.file": given.output}
+    for name, value in frames.items():
+        if value is not None:
+            raise InputError(f"{name}: a session is prepared once for many images; give it to session.measure, of each")
+
+
+def _prepare(team: Team, source: Any, given: Arguments, n_frames: int) -> Session:
+    """A session of a reference image for as many frames as are expected; collective."""
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
-    chosen, loaded, given = team.together(lambda: _look(team, mesh, options))
+    loaded, mesh = team.together(lambda: _look(team, given))
+    images = loaded.case.images
     # Of more frames than one some are measured after this call, by when the user may have written into arrays.
     keeps = n_frames > 1
-    reference = open_given_image(team, source, "reference image", keeps=keeps)
-    camera = make_first_camera(reference, loaded.case.images.noise)
+    reference = open_given_image(team, make_image(source, images, images.reference_mask), "reference image",
+                                 keeps=keeps)
+    camera = make_first_camera(reference, images.noise)
     if keeps and is_line_wanted(loaded.case):
         # The first frame says where the line is, and the mesh waits for it.
-        given = copy.deepcopy(given)
+        mesh = copy.deepcopy(mesh)
+    if mesh is None:
+        team.build_on_root(lambda: _check_said_mesh(loaded, reference.image, team.size))
 
-    def build() -> tuple[Mesh, None]:
-        whole = accept_mesh(require_held(given), "mesh", reference.image.width, reference.image.height)
+    def build() -> tuple[Mesh, Tying | None]:
+        if mesh is None:
+            return loaded.kept_mesh.take(loaded.case) or build_meshes(loaded.case, reference.image.width,
+                                                                      reference.image.height)
+        whole = accept_mesh(mesh, "mesh", reference.image.width, reference.image.height)
         check_mesh(loaded, whole, team.size)
         return whole, None
 
-    return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(chosen.kinematics), given_mesh=given,
+    return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(given.kinematics), given_mesh=mesh,
                                 n_frames=n_frames))
 
 
-def _look(team: Team, mesh: Mesh | meshio.Mesh | tuple[Any, Any] | None,
-          options: Options | Mapping[str, Any] | None) -> tuple[Options, LoadedCase, Mesh | None]:
+def _look(team: Team, given: Arguments) -> tuple[LoadedCase, Mesh | None]:
     """What was given beside images, looked at; free of communication."""
-    chosen = choose_options(options)
-    case = make_case(chosen.settings)
-    if mesh is None and case.mesh.structured is None:
+    case = make_case(given.sections)
+    if given.mesh is None and not is_mesh_named(given.sections):
         raise InputError("mesh: none is given; ddic.structured_mesh makes one, meshio reads one (under mpirun give "
                          "it on every rank)")
-    if mesh is not None and case.mesh.structured is not None:
-        raise InputError("options: mesh.structured stands for the mesh; leave one of them out")
-    loaded = LoadedCase(case, Path("options"), "")
+    if given.mesh is not None and is_mesh_named(given.sections):
+        raise InputError("mesh.structured stands for the mesh; leave one of them out")
+    loaded = LoadedCase(case, ARGUMENTS, "")
     check_ranks(loaded, team.size)
-    return chosen, loaded, None if mesh is None else convert_given_mesh(mesh, convert_mapping(case.mesh.mapping))
+    if team.is_root:
+        for line in list_unused_keys(case):
+            warnings.warn(f"{ARGUMENTS}: {line}", UserWarning, stacklevel=2)
+    return loaded, None if given.mesh is None else convert_given_mesh(given.mesh, convert_mapping(case.mesh.mapping))
 
 
-def _options_beside_a_case(mesh: object, options: Options | Mapping[str, Any] | None) -> Options:
-    chosen = choose_options(options)
-    if mesh is not None or chosen.settings:
+def _check_said_mesh(loaded: LoadedCase, reference: ImageSource, n_ranks: int) -> None:
+    """Check the mesh that sections say, and what refers to it, as that of a case file."""
+    problems = Problems()
+    report = find_method(loaded.case).check(loaded, reference, None, problems)
+    problems.require_none()
+    check_most_ranks(loaded, report.most_ranks, n_ranks)
+
+
+def _open_case(team: Team, source: object, given: Arguments) -> tuple[Inputs, Frame]:
+    """Open what a case or a case file names; collective."""
+    team.together(lambda: _refuse_beside_a_case(given))
+    # A name that can be written, where nothing is: what a case names is looked at only if it is used.
+    file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf"
+    file = file if given.output is None else given.output.resolve()
+    inputs, frame = open_inputs(team, team.on_root(lambda: load_given_case(source, Path(), team.size, file)))
+    return replace(inputs, choose_kinematics=check_kinematics(given.kinematics)), frame
+
+
+def _refuse_beside_a_case(given: Arguments) -> None:
+    if given.sections or any(value is not None for value in (given.mesh, given.reference, given.deformed)):
         raise InputError("a case says its mesh and settings itself: leave them out, or give a pair of images in its "
                          "place")
-    return chosen
 
 
-def _open_case(team: Team, source: object, mesh: object, options: Options | Mapping[str, Any] | None,
-               output: str | Path | None) -> tuple[Inputs, Frame]:
-    """Open what a case or a case file names; collective."""
-    chosen = team.together(lambda: _options_beside_a_case(mesh, options))
-    # A name that can be written, where nothing is: what a case names is looked at only if it is used.
-    file = Path(tempfile.gettempdir()) / "ddic-writes-nothing.vtkhdf" if output is None else Path(output).resolve()
-
-    inputs, frame = open_inputs(team, team.on_root(lambda: load_given_case(source, Path(), team.size, file)))
-    return replace(inputs, choose_kinematics=check_kinematics(chosen.kinematics)), frame
-
-
-def _pair(source: object) -> tuple[Any, Any]:
+def _pair(source: object, given: Arguments) -> tuple[Any, Any]:
+    """The reference image and the deformed one, from the first argument or from the section of images."""
+    named = {"images.reference": given.reference, "images.deformed": given.deformed}
+    for name, image in named.items():
+        if source is not None and image is not None:
+            raise InputError(f"{name}: images are the first argument, too; leave one of them out")
+        if source is None and image is None:
+            raise InputError(f"{name}: this key is missing; give a case file, a pair of images, or images=dict(...)")
+    if source is None and isinstance(given.deformed, list | tuple) and all(isinstance(file, str | Path)
+                                                                           for file in given.deformed):
+        raise InputError("images.deformed: several images; run a case file, or prepare a session and measure each")
+    if source is None:
+        return given.reference, given.deformed
+    if isinstance(source, Mapping):
+        raise InputError("images: a mapping is given; give the sections of a case as arguments, ddic.measure(**case)")
     if not isinstance(source, list | tuple | np.ndarray):
         raise InputError(f"images: {type(source).__name__} given; give a case file, a case or a pair (reference image, "
                          "deformed image)")

@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ddic.api.given import load_given_case, make_case
+from ddic.api.given import load_given_case, make_case, sort_arguments
 from ddic.api.measure import measure
 from ddic.arrays import Array, IntArray
 from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method_section
 from ddic.case.named_files import list_deformed
 from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
-from ddic.case.schema import Case, SolverSection
-from ddic.errors import ConvergenceError, InputError, SingularSubdomainError
+from ddic.case.schema import Case, DiscontinuitySection, SolverSection
+from ddic.errors import ConvergenceError, InputError, SingularSubdomainError, refuse_unknown_arguments
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import make_first_camera
@@ -45,7 +45,8 @@ N_FRAMES = 3
 """Images that each candidate measures: the case's, and the virtual ones."""
 
 
-def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: Sequence[float] | None = None,
+def choose_regularization(case: str | Path | Case | LoadedCase, *,
+                          cut_off_wavelengths: Sequence[float] | None = None,
                           element_sizes: Sequence[float] | None = None,
                           advance: Callable[[str, int], None] | None = None) -> Sweep:
     """Try cut-off wavelengths and element sizes on a pair and on virtual images made from it; collective.
@@ -54,7 +55,7 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
     ----------
     case : str, Path, Case or LoadedCase
         Of one camera; of a series the last image is taken.
-    wavelengths : sequence of float, optional
+    cut_off_wavelengths : sequence of float, optional
         l_c, pixels, 0 for no regularization; by default none and nine about the case's own, sqrt 2 apart.
     element_sizes : sequence of float, optional
         Of a structured mesh, pixels; by default five about the case's own, sqrt 2 apart. A mesh from a file keeps its
@@ -76,9 +77,9 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *, wavelengths: 
     loaded = team.on_root(lambda: load_given_case(case, Path("case"), team.size))
     # Of a series the last image, which has moved most.
     inputs, frame = open_inputs(team, loaded, len(list_deformed(loaded.case.images)) - 1)
-    team.together(lambda: _refuse_impossible(inputs.case, wavelengths, element_sizes))
+    team.together(lambda: _refuse_impossible(inputs.case, cut_off_wavelengths, element_sizes))
     inputs = find_discontinuity(team, inputs, frame, Silence(), PhaseClock(waiting=team.waiting))
-    candidates = team.on_root(lambda: _list_candidates(inputs, wavelengths, element_sizes))
+    candidates = team.on_root(lambda: _list_candidates(inputs, cut_off_wavelengths, element_sizes))
     varied = [(candidate, _vary(inputs, candidate)) for candidate in candidates]
     told = advance or (lambda what, count: None)
     return measure_candidates(team, varied, frame, lambda what: told(what, 2 * len(varied)))
@@ -92,9 +93,9 @@ def _refuse_impossible(case: Case, wavelengths: Sequence[float] | None, sizes: S
     if case.near:
         raise InputError("[[near]]: a sweep knows one camera; leave [[near]] out")
     if sizes is not None and case.mesh.structured is None:
-        raise InputError("--elements: the mesh comes from a file, whose elements stay; give [mesh.structured], or "
-                         "leave --elements out")
-    for name, values, least in (("--lengths", wavelengths, 0.0), ("--elements", sizes, 1.0)):
+        raise InputError("element sizes: the mesh comes from a file, whose elements stay; give [mesh.structured], or "
+                         "leave the sizes out")
+    for name, values, least in (("cut-off wavelengths", wavelengths, 0.0), ("element sizes", sizes, 1.0)):
         if values is not None and not (len(values) and all(least <= value < float("inf") for value in values)):
             raise InputError(f"{name} {list(values)}: give numbers of pixels, at least {least:g}")
 
@@ -110,8 +111,8 @@ def _list_candidates(inputs: Inputs, wavelengths: Sequence[float] | None,
     pairs = [Candidate(size, length) for size in of_elements for length in lengths
              if length == 0 or SHORTEST_WAVELENGTH <= length / (size or typical) <= LONGEST_WAVELENGTH]
     if not pairs:
-        raise InputError(f"--lengths {lengths}: shorter than {SHORTEST_WAVELENGTH:g} elements, all of them; give "
-                         "longer ones")
+        raise InputError(f"cut-off wavelengths {lengths}: shorter than {SHORTEST_WAVELENGTH:g} elements, all of them; "
+                         "give longer ones")
     section, structured = case.regularization, case.mesh.structured
     own = Candidate(None if structured is None else structured.element_size,
                     0.0 if section is None else section.cut_off_wavelength or 0.0)
@@ -120,7 +121,7 @@ def _list_candidates(inputs: Inputs, wavelengths: Sequence[float] | None,
 
 def _vary(inputs: Inputs, candidate: Candidate) -> Inputs:
     """The inputs with a candidate's case and mesh."""
-    case = set_resolution(inputs.case, candidate.element_size, candidate.wavelength)
+    case = set_resolution(inputs.case, candidate.element_size, candidate.cut_off_wavelength)
     image: Any = inputs.cameras[0].reference.image
     return replace(inputs, case=case, n_frames=N_FRAMES,
                    build_mesh=lambda: build_meshes(case, image.width, image.height))
@@ -144,6 +145,9 @@ LARGEST_SIDE = 1024
 DEGREE = 5
 """Of the spline that moves the image: another one than the cubic that measures, or its errors would cancel."""
 
+OF_A_PAIR = ("images", "near", "mesh", "series", "start", "output")
+"""Sections that say what is not chosen here."""
+
 N_POINTS = 20000
 """Places at which errors are taken."""
 
@@ -154,8 +158,8 @@ class Uncertainty:
 
     Attributes
     ----------
-    sizes : (n_sizes,) array
-        Of the elements, pixels.
+    element_sizes : (n_sizes,) array
+        Pixels.
     amplitudes : (n_amplitudes,) array
         Displacements and jumps, pixels.
     bias, deviation : dict of (n_sizes, n_amplitudes, 2) array
@@ -168,7 +172,7 @@ class Uncertainty:
         singular.
     """
 
-    sizes: Array
+    element_sizes: Array
     amplitudes: Array
     bias: dict[Kind, Array]
     deviation: dict[Kind, Array]
@@ -176,27 +180,25 @@ class Uncertainty:
     predicted_noise: Array
 
 
-def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16, 32, 64), n_amplitudes: int = 11,
-                       discontinuity: Mapping[str, Any] | None = None, noise: float = 0.0,
-                       options: Mapping[str, Any] | None = None) -> Uncertainty:
+def estimate_uncertainty(image: NDArray[Any], *, element_sizes: Sequence[float] = (8, 16, 32, 64),
+                         n_amplitudes: int = 11, noise: float = 0.0, **sections: Any) -> Uncertainty:
     """Measure known displacements of an image, without and with a line that may open [RRH07], [RHR08].
 
     Parameters
     ----------
     image : (height, width) array
         One's own reference image, grey levels.
-    sizes : sequence of float
+    element_sizes : sequence of float
         Of square elements, pixels.
     n_amplitudes : int
         Displacements from 0 to 1 px.
-    discontinuity : mapping, optional
-        A section of a case: the straight line across the image through the ends of its vertices jumps, along it or,
-        where its opening is "normal", across it. By default a line through the middle at 27 degrees that may slide.
     noise : float
         Standard deviation of noise that is added to both images, grey levels.
-    options : mapping, optional
+    **sections
         Sections and keys of a case file, for every measurement; a regularization only with elements that carry its
-        cut-off wavelength.
+        cut-off wavelength. Of ``discontinuity`` the first section counts: the straight line across the image through
+        the ends of its vertices jumps, along it or, where its opening is "normal", across it. By default it runs
+        through the middle at 27 degrees and may slide.
 
     Returns
     -------
@@ -213,33 +215,36 @@ def estimate_uncertainty(image: NDArray[Any], *, sizes: Sequence[float] = (8, 16
     middle = np.array([width, height]) / 2 + (0.37, -0.21)
     along = np.array([np.cos(ANGLE), np.sin(ANGLE)])
     ends = np.stack([middle - 2 * sum(grey.shape) * along, middle + 2 * sum(grey.shape) * along])
-    section = dict(discontinuity or {"opening": "tangential"})
-    opening = str(section.get("opening", "both"))
-    if section.get("vertices"):
-        ends = _lengthen(np.array(section["vertices"], dtype=np.float64)[[0, -1]] - _find_corner(image),
-                         sum(grey.shape))
-    if len(sizes) == 0 or not all(2 <= size <= min(grey.shape) - 2 * MARGIN for size in sizes):
-        raise InputError(f"sizes: {list(sizes)} px on {width} x {height} px of the image; give sizes of elements from "
-                         f"2 to {min(grey.shape) - 2 * MARGIN} px")
+    of_elements = ("element_sizes", "n_amplitudes", "noise")
+    refuse_unknown_arguments(sections, [*of_elements, *(name for name in Case.model_fields if name not in OF_A_PAIR)])
+    settings = sort_arguments(sections).sections
+    line = next(iter(make_case(settings).discontinuity), DiscontinuitySection(opening="tangential"))
+    settings.pop("discontinuity", None)
+    if line.vertices is not None:
+        ends = _lengthen(np.array(line.vertices, dtype=np.float64)[[0, -1]] - _find_corner(image), sum(grey.shape))
+    largest = min(grey.shape) - 2 * MARGIN
+    if len(element_sizes) == 0 or not all(2 <= size <= largest for size in element_sizes):
+        raise InputError(f"element_sizes: {list(element_sizes)} px on {width} x {height} px of the image; give sizes "
+                         f"from 2 to {largest} px")
     span = float(np.ptp(grey))
     if not 0.0 <= noise <= span:
         raise InputError(f"noise: {noise:g}, but grey levels of the image span {span:g}; give a standard deviation in "
                          "grey levels")
     amplitudes = np.linspace(0.0, 1.0, n_amplitudes)
-    shape = (len(sizes), n_amplitudes, len(BASES))
+    shape = (len(element_sizes), n_amplitudes, len(BASES))
     bias: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
     deviation: dict[Kind, Array] = {kind: np.full(shape, np.nan) for kind in KINDS}
-    lines = [{"vertices": ends.tolist(), "opening": opening}]
+    lines = [{"vertices": ends.tolist(), "opening": line.opening}]
     for kind in KINDS:
         for k, amplitude in enumerate(amplitudes):
-            known = _Known(kind, float(amplitude), ends, is_normal=opening == "normal")
+            known = _Known(kind, float(amplitude), ends, is_normal=line.opening == "normal")
             pair = _add_noise(grey, known.deform(grey), noise, seed=k)
-            for s, size in enumerate(sizes):
-                for b, settings in enumerate(_choose_settings(options or {}, lines, size)):
-                    bias[kind][s, k, b], deviation[kind][s, k, b] = _measure_errors(pair, size, settings, known)
-    predicted = np.array([[_predict_noise(grey, size, settings, noise)
-                           for settings in _choose_settings(options or {}, lines, size)] for size in sizes])
-    return Uncertainty(np.array(sizes, dtype=np.float64), amplitudes, bias, deviation, noise, predicted)
+            for s, size in enumerate(element_sizes):
+                for b, chosen in enumerate(_choose_settings(settings, lines, size)):
+                    bias[kind][s, k, b], deviation[kind][s, k, b] = _measure_errors(pair, size, chosen, known)
+    predicted = np.array([[_predict_noise(grey, size, chosen, noise)
+                           for chosen in _choose_settings(settings, lines, size)] for size in element_sizes])
+    return Uncertainty(np.array(element_sizes, dtype=np.float64), amplitudes, bias, deviation, noise, predicted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,10 +295,10 @@ def _add_noise(reference: Array, deformed: Array, noise: float, seed: int) -> tu
     return noisy[0].astype(np.float32), noisy[1].astype(np.float32)
 
 
-def _choose_settings(options: Mapping[str, Any], lines: Sequence[Any], size: float) -> tuple[dict[str, Any], ...]:
+def _choose_settings(settings: Mapping[str, Any], lines: Sequence[Any], size: float) -> tuple[dict[str, Any], ...]:
     """Settings of continuous and of enriched elements of a size."""
-    chosen = dict(options)
-    wavelength = (options.get("regularization") or {}).get("cut_off_wavelength")
+    chosen = dict(settings)
+    wavelength = (settings.get("regularization") or {}).get("cut_off_wavelength")
     if wavelength is not None and wavelength < SHORTEST_WAVELENGTH * size:
         del chosen["regularization"]
     return chosen, {**chosen, "discontinuity": lines}
@@ -364,7 +369,7 @@ def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settin
     """Mean and standard deviation of the error, pixels; nan where nothing converges."""
     mesh = _mesh_inside(pair[0].shape, size)
     try:
-        result = measure(pair, mesh, options=settings)
+        result = measure(pair, mesh, **settings)
     except (ConvergenceError, SingularSubdomainError):
         return np.nan, np.nan
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)

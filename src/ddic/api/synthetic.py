@@ -1,6 +1,6 @@
 """Image pairs with a known displacement, to try a measurement out before the test."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array
-from ddic.errors import InputError
+from ddic.errors import InputError, describe_nearest
 from ddic.synth.fields import DisplacementField, Hole
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture
@@ -35,7 +35,7 @@ class _GivenField:
 
 def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField, size: tuple[int, int], *,
                         noise: float = 0.0, seed: int = 0,
-                        hole: tuple[tuple[float, float], float] | None = None) -> tuple[Image, Image]:
+                        hole: Mapping[str, Any] | None = None) -> tuple[Image, Image]:
     """Picture a speckled plane before and after a displacement, without interpolating an image.
 
     The texture is known at any point, so that f(x) = g(x + u(x)) holds but for noise and rounding to 8 bit.
@@ -51,8 +51,8 @@ def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField
         Standard deviation of the camera's noise in both images, grey levels.
     seed : int, optional
         Of the speckles and of the noise.
-    hole : (centre, radius), optional
-        Round hole in the reference image, pixels, dark.
+    hole : mapping, optional
+        Round hole in the reference image, dark: ``center`` and ``radius``, pixels, as a circle of a case file.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField
     _refuse_impossible(displacement, size)
     field: Any = displacement if hasattr(displacement, "gradient") else _GivenField(_as_arrays(displacement))
     picture = Picture(*size, Digitiser(noise=noise, seed=seed))
-    scene = Scene(SpeckleTexture(seed), field, None if hole is None else Hole(*hole))
+    scene = Scene(SpeckleTexture(seed), field, None if hole is None else _make_hole(hole))
     pair = render_pair(scene, picture)
     return pair.reference, pair.deformed
 
@@ -80,6 +80,17 @@ def _refuse_impossible(displacement: object, size: object) -> None:
         raise InputError(f"size = {size}: expected (width, height), whole numbers of pixels")
     if not (callable(displacement) or hasattr(displacement, "gradient")):
         raise InputError(f"displacement: {type(displacement).__name__} given, a function of points (n, 2) expected")
+
+
+def _make_hole(circle: Any) -> Hole:
+    """The hole of a circle as a case file has it."""
+    keys = ["center", "radius"]
+    if not isinstance(circle, Mapping) or not set(keys) <= set(circle):
+        raise InputError(f'hole = {circle}: expected a circle, {{"center": (x, y), "radius": r}}, pixels')
+    for key in circle:
+        if key not in keys:
+            raise InputError(f"hole.{key}: unknown key; {describe_nearest(key, keys)}")
+    return Hole(circle["center"], circle["radius"])
 
 
 def _as_arrays(displacement: Callable[[Array], Any]) -> Callable[[Array], Array]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,7 +13,7 @@ from pydantic_core import ErrorDetails
 
 from ddic.case.named_files import find_frames, is_pattern, is_series, list_named_files
 from ddic.case.schema import Case, Location, find_section, list_sections
-from ddic.errors import InputError
+from ddic.errors import InputError, describe_nearest
 from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
 from ddic.io.text_files import parse_toml, read_text
 from ddic.mesh.mesh import Mesh
@@ -94,6 +93,8 @@ def _line(location: Location, problem: ErrorDetails, data: Mapping[str, Any]) ->
         # The schema's own sentence names the keys that it compares.
         reason = str(context["error"])
         return f"{key}: {reason}" if key else reason
+    if kind == "tuple_type" and find_section(location) and isinstance(_value_at(data, location), Mapping):
+        return f"{key}: one section is given, a list of them expected: [[{key}]], or [{{...}}] in Python"
     # pydantic quotes words like Python, TOML like this.
     expected = EXPECTED.get(kind, problem["msg"]).format_map(context).replace("'", '"')
     return f"{key} = {_shown(_value_at(data, location))}: expected {expected}"
@@ -113,10 +114,9 @@ def _nearest_key(location: Location) -> str:
     if section is None:
         return "leave it out"
     homes = [f"[{_dotted(home)}]" for home, other in list_sections() if key in other.model_fields]
-    near = get_close_matches(key.lower(), list(section.model_fields), n=1)
-    if near and not homes:
-        return f'did you mean "{near[0]}"?'
-    return f"it belongs to {' or '.join(homes)}" if homes else "valid here: " + ", ".join(section.model_fields)
+    if homes:
+        return f"it belongs to {' or '.join(homes)}"
+    return describe_nearest(key, list(section.model_fields))
 
 
 def _value_at(data: Any, location: Location) -> Any:
@@ -334,15 +334,14 @@ def parse_case_text(text: str, path: Path) -> Case:
 
     ``path`` names the file in messages. Raises InputError as ``load_case`` does.
     """
-    data = parse_toml(text, path)
-    word = data.get("discontinuity")
-    if isinstance(word, str) and word != DETECT:
-        raise InputError(f'{path}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
-    return convert_to_case(convert_shorthand(data), str(path))
+    return convert_to_case(convert_shorthand(parse_toml(text, path)), str(path))
 
 
 def convert_to_case(data: Mapping[str, Any], source: str) -> Case:
     """Validate what a case says, its shorthand written out; InputError has a line for each fault, after ``source``."""
+    word = data.get("discontinuity")
+    if isinstance(word, str):
+        raise InputError(f'{source}: discontinuity = "{word}": write "{DETECT}", or [[discontinuity]] sections')
     try:
         return _validate(data)
     except ValidationError as error:
@@ -411,7 +410,8 @@ def list_unused_keys(case: Case) -> list[str]:
          searches and start.features and not start.rigid),
         ("start", ("largest_enriched_block",), "[[discontinuity]]", searches and not case.discontinuity),
         ("start", ("independent",), 'solver.method = "dual"', is_never_dual and start.independent),
-        ("images", ("noise",), "[[near]], whose cameras it is weighed against", not case.near),
+        ("images", ("noise",), "output.uncertainty = true, or [[near]], whose cameras it is weighed against",
+         not (case.near or case.output.uncertainty)),
     ]
     return [f"{name}.{key} changes nothing here: it goes with {partner}; leave it out"
             for name, keys, partner, is_idle in rules if is_idle

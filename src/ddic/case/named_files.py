@@ -168,6 +168,8 @@ def _list_refused_by_updates(case: Case) -> Iterator[str]:
     refused = [
         (case.near, "goes with one camera; leave [[near]] out"),
         (case.discontinuity, "lines would have to move with the specimen; leave [[discontinuity]] out"),
+        (case.regularization is not None and case.regularization.is_orthotropic,
+         "axes of a composite would have to turn with it; leave regularization.young_ratio and shear_ratio out"),
         (case.output.uncertainty, "uncertainties would be of the last update; leave output.uncertainty out"),
         ("residual_image" in case.output.model_fields_set and case.output.residual_image,
          "pixels of the residual would be those of the last update; leave output.residual_image out"),

@@ -15,6 +15,10 @@ MOST_IN_PLANE_STRAIN = 0.4999
 """Largest Poisson's ratio in plane strain, where the modulus of area over that of shear, 1 / (1 - 2 nu), enters the
 operator squared: 2.5e7 there, of the 1e16 that numbers hold. A larger value refuses less."""
 
+MOST_ORTHOTROPIC = 5000.0
+"""Largest modulus of an orthotropic material over its smallest: the same 2.5e7 squared. It is far beyond any material;
+moduli given in place of ratios are beyond it. A larger value refuses less."""
+
 
 def note(**words: str) -> Any:
     """Note what the type of a key does not tell: its unit, the shape of a list, a default that stands for another."""
@@ -371,22 +375,65 @@ class RegularizationSection(Section):
     loaded them: elements smaller than the speckle are not determined there by the images. 0: they are left to the
     images."""
 
-    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = 0.3
-    """Poisson's ratio; Young's modulus is 1."""
+    poisson_ratio: Annotated[float, Field(gt=-1, allow_inf_nan=False)] = 0.3
+    """Poisson's ratio nu, above -1 and below 0.5; Young's modulus is 1. Of a composite nu12, whose square is below
+    `young_ratio`: stretched along axis 1 by 1, it narrows along axis 2 by nu12."""
 
     plane: Literal["stress", "strain"] = "stress"
-    """Plane stress or plane strain."""
+    """Plane stress or plane strain; a composite is in plane stress."""
+
+    young_ratio: Positive = 1.0
+    """Of a [composite](choosing.md#composites): E1 / E2, Young's modulus along the material's axis 1 over that along
+    axis 2, which is 1."""
+
+    shear_ratio: Annotated[Positive | None, note(default="1 / (2 (1 + poisson_ratio)), that of isotropy")] = None
+    """Of a composite: G12 / E2, the shear modulus of axes 1 and 2 over Young's modulus along axis 2."""
+
+    material_angle_degrees: Degrees = 0.0
+    """Of a composite: where axis 1 points in the reference image, from +x towards +y, clockwise on the screen, whatever
+    `[mesh.mapping]` says."""
+
+    @property
+    def is_orthotropic(self) -> bool:
+        """Whether the material has axes: it is a composite."""
+        return self.young_ratio != 1 or self.shear_ratio is not None
 
     def _list_contradictions(self) -> Iterator[str]:
         if (self.eta is None) == (self.cut_off_wavelength is None):
             yield "give either regularization.cut_off_wavelength or regularization.eta"
-        if self.plane == "strain" and self.poisson_ratio > MOST_IN_PLANE_STRAIN:
-            yield (f'regularization.poisson_ratio = {self.poisson_ratio:g}: in plane = "strain" no more than '
-                   f"{MOST_IN_PLANE_STRAIN:g} can be computed with; beyond it, elements hardly change their "
-                   "area and rounding hides the images")
-        of_gap = {"not_controlled", "boxes", "edge_wavelength", "poisson_ratio", "plane"} & self.model_fields_set
+        yield from self._list_impossible_composites() if self.is_orthotropic else self._list_impossible_isotropy()
+        of_gap = self.model_fields_set - {"cut_off_wavelength", "eta", "operator"}
         if self.operator == "tikhonov" and of_gap:
             yield f'regularization.{min(of_gap)} goes with regularization.operator = "equilibrium_gap"'
+
+    def _list_impossible_isotropy(self) -> Iterator[str]:
+        nu = self.poisson_ratio
+        if nu >= 0.5:
+            yield (f"regularization.poisson_ratio = {nu:g}: an isotropic material has less than 0.5; of a composite "
+                   "give young_ratio or shear_ratio, too")
+        if self.plane == "strain" and nu > MOST_IN_PLANE_STRAIN:
+            yield (f'regularization.poisson_ratio = {nu:g}: in plane = "strain" no more than '
+                   f"{MOST_IN_PLANE_STRAIN:g} can be computed with; beyond it, elements hardly change their "
+                   "area and rounding hides the images")
+        if self.material_angle_degrees != 0 and "young_ratio" not in self.model_fields_set:
+            yield ("regularization.material_angle_degrees goes with young_ratio or shear_ratio: an isotropic material "
+                   "has no axes")
+
+    def _list_impossible_composites(self) -> Iterator[str]:
+        nu, young = self.poisson_ratio, self.young_ratio
+        if self.plane == "strain":
+            yield ('regularization.plane = "strain" goes with an isotropic material, for it asks for moduli across the '
+                   "plane; leave it out, or young_ratio and shear_ratio")
+        if nu**2 >= young:
+            yield (f"regularization.poisson_ratio = {nu:g} with young_ratio = {young:g}: no material has nu12 squared "
+                   f"as large as E1 / E2; give less than {young**0.5:.3g}, or call the stiffer axis 1")
+            return
+        shear = 1 / (2 * (1 + nu)) if self.shear_ratio is None else self.shear_ratio
+        spread = max(young, 1, shear) / min(young, 1, shear) / (1 - nu**2 / young)
+        if spread > MOST_ORTHOTROPIC:
+            yield (f"regularization.young_ratio = {young:g}, shear_ratio = {shear:g} with poisson_ratio = {nu:g}: one "
+                   f"modulus is {spread:.0f} times another, more than {MOST_ORTHOTROPIC:g}: rounding would hide the "
+                   "images; give E1 / E2 and G12 / E2, not moduli")
 
 
 class SolverSection(Section):
@@ -668,6 +715,8 @@ class Case(Section):
         if self.correlation.grey_correction == "element" and any(line.tip_functions for line in self.discontinuity):
             yield ('correlation.grey_correction = "element": with discontinuity.tip_functions, elements '
                    'about a tip are made of cells of a few pixels, which do not tell it; use "global"')
+        if self.regularization is not None and self.regularization.is_orthotropic:
+            yield from self._list_refused_by_composites(self.regularization)
         if self.discontinuity and any(section.mesh is not None for section in self.near):
             yield ("[[discontinuity]] and near.mesh do not go together: a line cuts one mesh; leave "
                    "near.mesh out, the near field then measures elements of [mesh]")
@@ -681,6 +730,15 @@ class Case(Section):
             yield 'regularization.operator = "tikhonov" goes with [pgd]; use "equilibrium_gap"'
         if self.pgd is not None:
             yield from self._list_refused_by_pgd()
+
+    def _list_refused_by_composites(self, section: RegularizationSection) -> Iterator[str]:
+        """What knows isotropic matter only, or axes along x and y."""
+        if any(line.tip_functions for line in self.discontinuity):
+            yield ("discontinuity.tip_functions are those of an isotropic material; leave them out, or "
+                   "regularization.young_ratio and shear_ratio")
+        if self.pgd is not None and section.material_angle_degrees % 90 != 0:
+            yield (f"regularization.material_angle_degrees = {section.material_angle_degrees:g}: products of functions "
+                   "of x and of y ([pgd]) hold a composite along x or y; give a multiple of 90, or leave [pgd] out")
 
     def _list_refused_by_pgd(self) -> Iterator[str]:
         """What makes no sense beside PGD-DIC."""

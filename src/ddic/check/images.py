@@ -159,11 +159,10 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh, cell_size: flo
     _refuse_blank(reference, window, usable)
     section = case.regularization
     if section is not None and section.eta is not None:
-        material = build_material(section)
-        lame, shear = material.lame
+        c11, c22, *_ = build_material(section).moduli
         part = ArraySource(reference.path, reference.read(_shrink(window)), reference.saturation)
         texture = measure_grey_levels(part).gradient_energy
-        check_weight_fits(section.eta, lame + 2 * shear, texture, cell_size)
+        check_weight_fits(section.eta, max(c11, c22), texture, cell_size)
 
 
 def _bound(points: Array) -> Window:

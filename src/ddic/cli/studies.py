@@ -85,7 +85,7 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
             bar.update(task, description=what, total=count)
             bar.advance(task)
 
-        return choose_regularization(case_file, wavelengths=lengths, element_sizes=elements, advance=advance)
+        return choose_regularization(case_file, cut_off_wavelengths=lengths, element_sizes=elements, advance=advance)
 
 
 def _write_sweep(found: Sweep, table: Path, figure: Path) -> list[str]:
@@ -175,16 +175,14 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
         case = load_case(case_file).case
         image = open_image(case.images.reference)
         of_elements = _parse_numbers(sizes, "--sizes", "8,16,32")
-        line = case.discontinuity[0] if case.discontinuity else None
-        said = case.model_dump(include={"correlation", "regularization", "gauss_newton"}, mode="json")
-        options = {name: values for name, values in said.items() if values}
-        section = None if line is None else line.model_dump(mode="json")
+        said = case.model_dump(include={"correlation", "regularization", "gauss_newton", "discontinuity"}, mode="json")
+        sections = {name: values for name, values in said.items() if values}
         grey = image.read(image.extent)
-        found = estimate_uncertainty(grey, sizes=of_elements, n_amplitudes=displacements, noise=noise,
-                                     options=options, discontinuity=section)
+        found = estimate_uncertainty(grey, element_sizes=of_elements, n_amplitudes=displacements, noise=noise,
+                                     **sections)
         with made_folder(folder), replaced_together() as files:
             _write_errors(found, BASES, files.begin(table))
-            save_figure(draw_uncertainty(found.sizes, found.deviation, BASES), figure, files=files)
+            save_figure(draw_uncertainty(found.element_sizes, found.deviation, BASES), figure, files=files)
     take_closed_pipes_as_errors()
     for line_of_table in _list_deviations(found, BASES):
         click.echo(line_of_table)
@@ -198,7 +196,7 @@ def _write_errors(found: Uncertainty, bases: Sequence[str], path: Path) -> None:
         table = csv.writer(stream)
         table.writerow(["kind", "element_size_px", "displacement_px", "elements", "bias_px", "deviation_px"])
         for kind, deviation in found.deviation.items():
-            for s, size in enumerate(found.sizes):
+            for s, size in enumerate(found.element_sizes):
                 for k, amplitude in enumerate(found.amplitudes):
                     table.writerows([kind, f"{size:g}", f"{amplitude:g}", basis, f"{found.bias[kind][s, k, b]:.4g}",
                                      f"{deviation[s, k, b]:.4g}"] for b, basis in enumerate(bases))
@@ -207,7 +205,7 @@ def _write_errors(found: Uncertainty, bases: Sequence[str], path: Path) -> None:
 def _list_deviations(found: Uncertainty, bases: Sequence[str]) -> list[str]:
     """Lines of a table: standard deviations, the largest over displacements."""
     lines = ["standard deviation of the displacement [px], the largest over displacements",
-             f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.sizes)]
+             f"{'displacements':<16}{'elements':<12}" + "".join(f"{size:>9g} px" for size in found.element_sizes)]
     # (n_sizes, n_bases) each
     rows: dict[str, Array] = {kind: deviation.max(axis=1) for kind, deviation in found.deviation.items()}
     if found.noise:

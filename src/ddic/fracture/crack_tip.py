@@ -191,10 +191,11 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
     Raises
     ------
     InputError
-        Where there is no such line, or no room for the ring.
+        Where there is no such line, or no room for the ring, or the case's regularization is that of a composite.
     ConvergenceError
         Where the tip is not found.
     """
+    _refuse_composite(result)
     fit = _Fit.prepare(result, get_line(result, line), find_kolosov_constant(poisson_ratio, plane))
     asked = fit.vertices[-1] if tip is None else np.array(tip, dtype=np.float64)
     ahead = fit.measure_ahead(asked)
@@ -209,6 +210,15 @@ def find_crack_tip(result: Result, line: int = 1, *, tip: tuple[float, float] | 
         raise ConvergenceError(f"{result.path}: line {line}: no crack tip is found from ({asked[0]:.1f}, "
                                f"{asked[1]:.1f}) px on; the line may be open all along, or give another place or ring")
     return _add_scatter(fit, found)
+
+
+def _refuse_composite(result: Result) -> None:
+    """Refuse a material that Williams' series is not of, as far as the case tells; one of long ago knows isotropy."""
+    section = get_case(result.attributes).get("regularization") or {}
+    if section.get("young_ratio", 1.0) != 1.0 or section.get("shear_ratio") is not None:
+        raise InputError(f"{result.path}: was measured as a composite (regularization.young_ratio, shear_ratio), and "
+                         "Williams' series is that of an isotropic material: it has neither tip nor factors of this "
+                         "one; take the opening along the line")
 
 
 def _add_scatter(fit: _Fit, found: CrackTip) -> CrackTip:

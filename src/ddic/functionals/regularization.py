@@ -1,6 +1,6 @@
 """Equilibrium gap: Kbar = P K and its weight eta from a cut-off wavelength [LPHR11].
 
-K is the linear elastic stiffness with Young's modulus 1, unit thickness, lengths in pixels.
+K is the linear elastic stiffness with Young's modulus 1 (of a composite E2), unit thickness, lengths in pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -17,6 +17,7 @@ from ddic.mesh.cell_parts import CellParts, place_quadrature_points
 from ddic.mesh.cell_type import N_MONOMIALS
 from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh, compute_shape_gradients
+from ddic.mesh.plane import build_rotation
 
 _CHUNK_CELLS = 2_000
 """Cells whose products of gradients are held at once: few enough for a processor's cache, in which they take half the
@@ -25,18 +26,37 @@ time. A larger value takes more memory, too."""
 
 @dataclass(frozen=True)
 class Material:
-    """Isotropic elasticity with E = 1.
+    """Elasticity, isotropic with E = 1, or orthotropic with E2 = 1 and its axes 1 and 2 in the plane.
 
     Attributes
     ----------
     poisson_ratio : float
-        -1 < nu < 0.5.
+        nu, -1 < nu < 0.5; of an orthotropic material nu12, nu12^2 < E1 / E2.
     plane : {"stress", "strain"}
-        Whether the stress or the strain across the plane is zero.
+        Whether the stress or the strain across the plane is zero; it is the stress in an orthotropic material.
+    young_ratio : float
+        E1 / E2.
+    shear_ratio : float or None
+        G12 / E2; None for 1 / (2 (1 + poisson_ratio)).
+    angle : float
+        Of axis 1, radians from +x to +y.
     """
 
     poisson_ratio: float = 0.3
     plane: Literal["stress", "strain"] = "stress"
+    young_ratio: float = 1.0
+    shear_ratio: float | None = None
+    angle: float = 0.0
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether it has no axes."""
+        return self.young_ratio == 1.0 and self.shear_ratio is None
+
+    @property
+    def axes(self) -> Array:
+        """Unit vectors along axes 1 and 2, one a column, (2, 2)."""
+        return build_rotation(self.angle)
 
     @property
     def lame(self) -> tuple[float, float]:
@@ -45,9 +65,31 @@ class Material:
         lame = nu / (1.0 - nu**2) if self.plane == "stress" else nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
         return lame, 1.0 / (2.0 * (1.0 + nu))
 
+    @property
+    def moduli(self) -> tuple[float, float, float, float]:
+        """C11, C22, C12 and G12 of s_11 = C11 e_11 + C12 e_22, s_22 = C12 e_11 + C22 e_22, s_12 = 2 G12 e_12."""
+        lame, mu = self.lame
+        if self.is_isotropic:
+            return lame + 2.0 * mu, lame + 2.0 * mu, lame, mu
+        # The inverse of e_11 = (s_11 - nu12 s_22) / E1, e_22 = s_22 / E2 - nu12 s_11 / E1.
+        c22 = 1.0 / (1.0 - self.poisson_ratio**2 / self.young_ratio)
+        shear = mu if self.shear_ratio is None else self.shear_ratio
+        return self.young_ratio * c22, c22, self.poisson_ratio * c22, shear
+
+    @property
+    def stiffness(self) -> Array:
+        """C of s_ik = C_ikjl e_jl, along x and y, (2, 2, 2, 2)."""
+        c11, c22, c12, shear = self.moduli
+        along_axes = np.zeros((2, 2, 2, 2))
+        along_axes[0, 0, 0, 0], along_axes[1, 1, 1, 1] = c11, c22
+        along_axes[0, 0, 1, 1] = along_axes[1, 1, 0, 0] = c12
+        for i, k in ((0, 1), (1, 0)):
+            along_axes[i, k, i, k] = along_axes[i, k, k, i] = shear
+        return np.asarray(np.einsum("ip,kq,jr,ls,pqrs->ikjl", *[self.axes] * 4, along_axes))
+
 
 def integrate_cell_stiffness(mesh: Mesh, material: Material) -> Array:
-    """Integrate K_e = int lambda div u div v + 2 mu eps(u) : eps(v) over every cell, or its part.
+    """Integrate K_e = int eps(v) : C : eps(u), C eps = lambda tr(eps) I + 2 mu eps if isotropic, over cells or parts.
 
     K_e is between displacement components, (n_cells, 4 dim, 4 dim), node-major; zero for nodes that a cell does not
     have. Lengths are in pixels.
@@ -84,6 +126,8 @@ def _integrate_parts(mesh: Mesh, parts: CellParts, material: Material) -> Array:
 
 def _weigh_products(products: Array, material: Material) -> Array:
     """K_e from the integrals of dN_a/dx_i dN_b/dx_j, both (n_cells, a, i, b, j)."""
+    if not material.is_isotropic:
+        return np.asarray(np.einsum("ikjl,eakbl->eaibj", material.stiffness, products))
     lame, shear = material.lame
     # 2 mu eps(u) : eps(v) = mu (grad u : grad v + grad u : grad v^T)
     stiffness = lame * products + shear * products.swapaxes(2, 4)
@@ -139,21 +183,16 @@ def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights
     return scale_rows(stiffness, row_weights)
 
 
-def evaluate_plane_waves(nodes: Array, wavelength: float) -> Array:
-    """Evaluate the waves v = e_a cos(2 pi x_b / l_c + phi) for all axes a, b and phi in {0, pi/2}.
+def evaluate_plane_waves(nodes: Array, wavelength: float, axes: Array | None = None) -> Array:
+    """Evaluate the waves v = e_a cos(2 pi x . e_b / l_c + phi) for all axes a, b and phi in {0, pi/2}.
 
     One wave a column, (n dim, 2 dim^2), node-major; the phase varies fastest, then b. Nodes, (n, dim), and the
-    wavelength l_c are in pixels.
+    wavelength l_c are in pixels; the columns of ``axes``, (dim, dim), are the e_a, by default those of the image.
     """
-    n, dim = nodes.shape
-    waves = []
-    for a in range(dim):
-        for b in range(dim):
-            for phi in PHASES:
-                v = np.zeros((n, dim))
-                v[:, a] = np.cos(2 * np.pi * nodes[:, b] / wavelength + phi)
-                waves.append(v.ravel())
-    return np.stack(waves, axis=1)
+    e = np.eye(nodes.shape[1]) if axes is None else axes
+    along = nodes @ e
+    return np.stack([np.outer(np.cos(2 * np.pi * x_b / wavelength + phi), e_a).ravel()
+                     for e_a in e.T for x_b in along.T for phi in PHASES], axis=1)
 
 
 def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: BoolArray, wavelength: float) -> Array:
@@ -169,7 +208,7 @@ def measure_gap_energies(mesh: Mesh, material: Material, interior_nodes: BoolArr
 
 def sum_wave_forces(mesh: Mesh, material: Material, wavelength: float) -> Array:
     """Sum the forces K v of every plane wave on the mesh's nodes, (n_dofs, n_waves), pixels, K never assembled."""
-    waves = evaluate_plane_waves(mesh.nodes, wavelength)
+    waves = evaluate_plane_waves(mesh.nodes, wavelength, material.axes)
     forces = np.zeros_like(waves)
     for begin in range(0, mesh.n_cells, _GAP_CHUNK_CELLS):
         cells = np.arange(begin, min(begin + _GAP_CHUNK_CELLS, mesh.n_cells))
@@ -179,14 +218,14 @@ def sum_wave_forces(mesh: Mesh, material: Material, wavelength: float) -> Array:
     return forces
 
 
-def measure_texture_energies(nodes: Array, hessian: sparse.csr_matrix,
-                     interior_nodes: BoolArray, wavelength: float) -> Array:
+def measure_texture_energies(nodes: Array, hessian: sparse.csr_matrix, interior_nodes: BoolArray, wavelength: float,
+                             axes: Array | None = None) -> Array:
     """Measure v^T M v of every plane wave on the interior nodes' rows; adds up over subdomains.
 
     Grey levels squared, one for each column of ``evaluate_plane_waves``. M, a subdomain's, is between the displacements
     of ``nodes``, node-major, grey levels squared per square pixel; nodes and the wavelength l_c are in pixels.
     """
-    waves = evaluate_plane_waves(nodes, wavelength)
+    waves = evaluate_plane_waves(nodes, wavelength, axes)
     rows = np.repeat(interior_nodes, nodes.shape[1])
     return np.asarray((waves * (hessian @ waves))[rows].sum(axis=0))
 
@@ -232,7 +271,7 @@ class HalfAmplitudes:
     Attributes
     ----------
     shear, longitudinal : float
-        Of waves across their direction and along it, pixels.
+        Of waves across their direction and along it, pixels; of an orthotropic material along its stiffer axis.
     """
 
     shear: float
@@ -247,12 +286,11 @@ class HalfAmplitudes:
 def find_half_amplitudes(material: Material, wavelength: float) -> HalfAmplitudes:
     """Find the wavelengths that eta of a cut-off wavelength halves, where texture and mechanics count alike.
 
-    A wave of the length l_c loads its nodes in proportion to c, c = lambda + 2 mu along its direction and mu across it,
-    and one of another length in proportion to c (l_c / l)^2. As eta is the mean over both of v^T M v / |K v|^2, a wave
+    A wave of the length l_c loads its nodes in proportion to c, c = C11 or C22 along its direction and G12 across it,
+    and one of another length in proportion to c (l_c / l)^2. As eta is the mean over these of v^T M v / |K v|^2, a wave
     is halved where c^2 (l_c / l)^4 mean(1 / c^2) = 1: on a mesh that is fine beside them, for texture without a
     direction. ``wavelength`` is l_c, pixels.
     """
-    lame, mu = material.lame
-    shear, longitudinal = mu, lame + 2.0 * mu
-    mean = (shear**-2 + longitudinal**-2) / 2.0
-    return HalfAmplitudes(*(wavelength * (c**2 * mean) ** 0.25 for c in (shear, longitudinal)))
+    c11, c22, _, shear = material.moduli
+    mean = ((c11**-2 + c22**-2) + (shear**-2 + shear**-2)) / 4.0
+    return HalfAmplitudes(*(wavelength * (c**2 * mean) ** 0.25 for c in (shear, max(c11, c22))))

@@ -9,10 +9,11 @@ from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
-from ddic.errors import InputError
+from ddic.errors import InputError, refuse_unknown_arguments
 from ddic.fracture.opening import get_lines, measure_openings
 from ddic.io import result_schema as schema
 from ddic.io.image_file import open_image
@@ -221,8 +222,10 @@ def draw_thumbnail(result: Result) -> str:
 
 
 def draw_result(result: Result, kind: str, *, component: canvas.Component = "magnitude", number: str | None = None,
-                 limits: canvas.Limits | None = None, palette: str | None = None, title: str | None = None) -> Figure:
+                 limits: canvas.Limits | None = None, palette: str | None = None, title: str | None = None,
+                 **unknown: Any) -> Figure:
     """Draw a picture of a result over its reference image, as ``Result.plot`` does."""
+    refuse_unknown_arguments(unknown, ("component", "number", "limits", "palette", "title"))
     if kind not in KINDS or kind in ("difference", "line"):
         drawable = [name for name in KINDS if name not in ("difference", "line")]
         raise InputError(f"kind = {kind!r}: one of {', '.join(drawable)}")

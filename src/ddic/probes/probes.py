@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ddic.arrays import Array, IntArray
-from ddic.errors import InputError
+from ddic.errors import InputError, describe_nearest
 from ddic.fracture.opening import get_lines
 from ddic.io import result_schema as schema
 from ddic.io.input_file import as_path
@@ -259,7 +259,7 @@ def _build_probe(kind: str, name: str, keys: Mapping[str, Any]) -> Probe:
     known = {field.name: field.default is MISSING for field in fields(CLASSES[kind]) if field.name != "name"}
     for key in keys:
         if key not in known:
-            raise InputError(f"{kind}.{name}.{key}: unknown key; valid here: {', '.join(known)}")
+            raise InputError(f"{kind}.{name}.{key}: unknown key; {describe_nearest(key, list(known))}")
     missing = [key for key, is_needed in known.items() if is_needed and key not in keys]
     if missing:
         raise InputError(f"{kind}.{name}.{missing[0]}: this key is missing; it has no default")

@@ -141,7 +141,7 @@ def find_eta(team: Team, subdomains: Sequence[Subdomain], views: ByView[View], h
     squared.
     """
     texture = team.ordered_sum([
-        own.weight * measure_texture_energies(s.mesh.nodes, hessian, s.interior, probe.wavelength)
+        own.weight * measure_texture_energies(s.mesh.nodes, hessian, s.interior, probe.wavelength, probe.axes)
         for s, (own, *_), (hessian, *_) in zip(subdomains, views, hessians, strict=True)])
     return find_cut_off_weight(texture, probe.gap_energies)
 

@@ -1,5 +1,6 @@
 """The whole mesh on rank 0: its unknowns, cut by discontinuities; who measures its cells, what they cost, its split."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -213,10 +214,13 @@ class ProbeWaves:
         The cut-off wavelength, or, where eta is given, a quarter of the mesh's shorter side; pixels.
     gap_energies : (n_waves,) array
         |K v|^2 of each wave, square pixels.
+    axes : (2, 2) array
+        Of the material, which the waves run along.
     """
 
     wavelength: float
     gap_energies: Array
+    axes: Array
 
     @property
     def is_weighable(self) -> bool:
@@ -454,12 +458,13 @@ def _probe_waves(team: Team, section: RegularizationSection, subdomains: Sequenc
     energies = [((forces[s.interior]**2) / s.node_multiplicity[s.interior, None]).sum(axis=0)
                 for s, forces in zip(subdomains, at_nodes, strict=True)]
     n_waves = of_subdomains[0].shape[1]
-    return ProbeWaves(wavelength, team.ordered_sum(energies).reshape(-1, n_waves).sum(axis=0))
+    return ProbeWaves(wavelength, team.ordered_sum(energies).reshape(-1, n_waves).sum(axis=0), material.axes)
 
 
 def build_material(section: RegularizationSection) -> Material:
-    """Give the elastic constants of the regularization, with E = 1."""
-    return Material(section.poisson_ratio, section.plane)
+    """Give the elastic constants of the regularization, with E = 1, or E2 = 1."""
+    return Material(section.poisson_ratio, section.plane, section.young_ratio, section.shear_ratio,
+                    math.radians(section.material_angle_degrees))
 
 
 def compute_cut_off_wavelength(case: Case) -> float:

@@ -316,10 +316,20 @@ def _list_regularization(gathered: Gathered) -> Items:
          f"{shear:.4g} px (shear), {longitudinal:.4g} px (longitudinal)" if shear else NOT_RECORDED),
     ]
     if of_gap:
-        items += [("Material", f"isotropic, Poisson's ratio {section.get('poisson_ratio'):g}, plane "
-                               f"{section.get('plane')}"),
+        items += [("Material", _describe_material(section)),
                   ("Not controlled", ", ".join(section.get("not_controlled", ())) or "none")]
     return items
+
+
+def _describe_material(section: Mapping[str, Any]) -> str:
+    """What the equilibrium gap takes the specimen for; a case of long ago knows no composites."""
+    nu, plane = section["poisson_ratio"], section["plane"]
+    young, shear = section.get("young_ratio", 1.0), section.get("shear_ratio")
+    if young == 1.0 and shear is None:
+        return f"isotropic, Poisson's ratio {nu:g}, plane {plane}"
+    modulus = 1 / (2 * (1 + nu)) if shear is None else shear
+    return (f"orthotropic, E1 / E2 = {young:g}, G12 / E2 = {modulus:.4g}, nu12 = {nu:g}, axis 1 at "
+            f"{section['material_angle_degrees']:g} degrees from +x to +y, plane {plane}")
 
 
 def _list_convergence(gathered: Gathered) -> Items:

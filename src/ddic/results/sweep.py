@@ -29,16 +29,16 @@ class Candidate:
     ----------
     element_size : float or None
         Pixels; None where the case's own elements stay.
-    wavelength : float
+    cut_off_wavelength : float
         l_c, pixels; 0 without regularization.
     """
 
     element_size: float | None
-    wavelength: float
+    cut_off_wavelength: float
 
     def describe(self) -> str:
         """Return what it is, for messages and tables."""
-        gap = f"l_c = {self.wavelength:g} px" if self.wavelength else "no regularization"
+        gap = f"l_c = {self.cut_off_wavelength:g} px" if self.cut_off_wavelength else "no regularization"
         return gap if self.element_size is None else f"elements of {self.element_size:g} px, {gap}"
 
 
@@ -131,8 +131,8 @@ class Sweep:
         """Return what to write into the case file: sections and keys."""
         best = self.best.candidate
         lines = [] if best.element_size is None else ["[mesh.structured]", f"element_size = {best.element_size:g}"]
-        gap = ["[regularization]", f"cut_off_wavelength = {best.wavelength:g}"]
-        return "\n".join([*lines, *(gap if best.wavelength else ["# without [regularization]"])])
+        gap = ["[regularization]", f"cut_off_wavelength = {best.cut_off_wavelength:g}"]
+        return "\n".join([*lines, *(gap if best.cut_off_wavelength else ["# without [regularization]"])])
 
     def _note_ends(self) -> list[str]:
         """What lies beyond the sweep on the side of its best."""
@@ -143,8 +143,8 @@ class Sweep:
         if best.element_size is not None and len(sizes) > 1 and best.element_size in (min(sizes), max(sizes)):
             side = "smaller" if best.element_size == min(sizes) else "larger"
             notes.append(f"no {side} elements were tried")
-        lengths = {candidate.wavelength for candidate in measured}
-        if len(lengths) > 1 and best.wavelength == max(lengths):
+        lengths = {candidate.cut_off_wavelength for candidate in measured}
+        if len(lengths) > 1 and best.cut_off_wavelength == max(lengths):
             notes.append("no longer l_c was tried")
         return notes
 
@@ -255,7 +255,7 @@ def choose_trial(trials: Sequence[Trial]) -> int:
         raise ConvergenceError("no setting of the sweep measures the virtual images; give longer --lengths or larger "
                                "--elements")
     near = np.flatnonzero(errors <= NO_WORSE * np.nanmin(errors))
-    return int(max(near, key=lambda k: (trials[k].candidate.element_size or 0.0, trials[k].candidate.wavelength)))
+    return int(max(near, key=lambda k: _order(trials[k])))
 
 
 COLUMNS = ("element size [px]", "l_c [px]", "residual [grey levels]", "gap [1/px]", "degrees of freedom",
@@ -305,7 +305,7 @@ def collect_by_size(sweep: Sweep) -> list[SweptElements]:
     for size in dict.fromkeys(trial.candidate.element_size for trial in trials):
         members = [trial for trial in trials if trial.candidate.element_size == size]
         recommended = next((k for k, trial in enumerate(members) if trial is sweep.best), None)
-        wavelengths = np.array([trial.candidate.wavelength for trial in members])
+        wavelengths = np.array([trial.candidate.cut_off_wavelength for trial in members])
         found = [(trial.residual, trial.gap, trial.predicted_error, trial.virtual_error) for trial in members]
         residuals, gaps, predicted, virtual = np.array(found).T
         label = "of the mesh file" if size is None else f"{size:g} px"
@@ -314,11 +314,16 @@ def collect_by_size(sweep: Sweep) -> list[SweptElements]:
 
 
 def _sort(sweep: Sweep) -> list[Trial]:
-    return sorted(sweep.trials, key=lambda trial: (trial.candidate.element_size or 0.0, trial.candidate.wavelength))
+    return sorted(sweep.trials, key=_order)
+
+
+def _order(trial: Trial) -> tuple[float, float]:
+    """By element size, then by cut-off wavelength."""
+    return trial.candidate.element_size or 0.0, trial.candidate.cut_off_wavelength
 
 
 def _format_cells(trial: Trial) -> list[str]:
-    size, length = trial.candidate.element_size, trial.candidate.wavelength
+    size, length = trial.candidate.element_size, trial.candidate.cut_off_wavelength
     numbers = (trial.noise, trial.predicted_error, trial.virtual_error)
     return ["mesh file" if size is None else f"{size:g}", f"{length:g}" if length else "none",
             f"{trial.residual:.4g}", f"{trial.gap:.2e}", f"{trial.degrees_of_freedom:.0f}",

@@ -97,17 +97,19 @@ def factorize_stiffness(along_x: LineElements, along_y: LineElements,
                        material: Material) -> dict[tuple[int, int], list[Product]]:
     """Separate K of the Q4 elements between the lines of a rectangle, the material being the same everywhere.
 
-    By components c and d, the products whose sum is K_cd.
+    By components c and d, the products whose sum is K_cd. The material's axes are those of the image, in either order.
     """
-    lame, mu = material.lame
+    c = material.stiffness
+    c_xx, c_yy, c_xy, mu = c[0, 0, 0, 0], c[1, 1, 1, 1], c[0, 0, 1, 1], c[0, 1, 0, 1]
     s_x, m_x, c_x = along_x.stiffness, along_x.mass, along_x.mixed
     s_y, m_y, c_y = along_y.stiffness, along_y.mass, along_y.mixed
-    # Of the form v^T K u: the integral of lambda dv_c/dx_c du_d/dx_d + mu (dv_c/dx_d du_d/dx_c + grad v_c . grad u_c).
+    # v^T K u is the integral of C_cd dv_c/dx_c du_d/dx_d over all c and d, and of the shear stress
+    # mu (du_x/dy + du_y/dx) times the shear dv_x/dy + dv_y/dx.
     return {
-        (0, 0): [((lame + 2 * mu) * s_x, m_y), (mu * m_x, s_y)],
-        (1, 1): [((lame + 2 * mu) * m_x, s_y), (mu * s_x, m_y)],
-        (0, 1): [(lame * c_x, transpose(c_y)), (mu * transpose(c_x), c_y)],
-        (1, 0): [(lame * transpose(c_x), c_y), (mu * c_x, transpose(c_y))],
+        (0, 0): [(c_xx * s_x, m_y), (mu * m_x, s_y)],
+        (1, 1): [(c_yy * m_x, s_y), (mu * s_x, m_y)],
+        (0, 1): [(c_xy * c_x, transpose(c_y)), (mu * transpose(c_x), c_y)],
+        (1, 0): [(c_xy * transpose(c_x), c_y), (mu * c_x, transpose(c_y))],
     }
 
 

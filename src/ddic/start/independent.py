@@ -183,12 +183,14 @@ def _read(images: Images, cells: LevelMesh) -> ResidualModel:
 def _regularize(subdomain: Subdomain, view: View, cut_off: float) -> LocalSystem:
     """M and Kbar of the cells, with the weight of a cut-off wavelength; the edge counts little."""
     of_nodes = view.assemble_hessian()
-    waves = ProbeWaves(cut_off, measure_gap_energies(subdomain.mesh, Material(), subdomain.interior, cut_off))
+    material = Material()
+    energies = measure_gap_energies(subdomain.mesh, material, subdomain.interior, cut_off)
+    waves = ProbeWaves(cut_off, energies, material.axes)
     eta = 0.0
     if waves.is_weighable:
         eta = find_eta(Team.alone(), [subdomain], ByView([[view]]), ByView([[of_nodes]]), waves)
     of_rows = weigh_rows(subdomain.controlled, FREE_EDGE)
-    kbar = controlled_stiffness(subdomain.kinematics, Material(), of_rows)
+    kbar = controlled_stiffness(subdomain.kinematics, material, of_rows)
     return LocalSystem(subdomain, view.project(of_nodes), kbar, np.ones(len(of_rows)), eta)
 
 
