@@ -55,16 +55,8 @@ from ddic.synth.virtual_image import render_virtual_image
 T = TypeVar("T")
 
 
-class CandidateSession:
-    """A candidate, prepared at its first measurement; the caller's to close.
-
-    Parameters
-    ----------
-    team, candidate, inputs : Team, Candidate, Inputs
-        All ranks; what is tried, and inputs with its case and mesh.
-    stays_open : bool
-        Whether images, M and factors are kept from one measurement to the next.
-    """
+class _CandidateSession:
+    """A candidate, prepared at its first measurement; what is made then is kept if it ``stays_open``."""
 
     def __init__(self, team: Team, candidate: Candidate, inputs: Inputs, *, stays_open: bool) -> None:
         self.candidate, self._team, self._inputs, self._stays_open = candidate, team, inputs, stays_open
@@ -76,7 +68,7 @@ class CandidateSession:
         ``start`` is a displacement to start from; None: it is searched for. Where nothing was measured the reason is in
         the trial: one candidate that fails ends no sweep.
         """
-        found = self._measure(frame, start, lambda problem, measured: collect_trial(self.candidate, problem, measured))
+        found = self._measure(frame, start, lambda problem, measured: _collect_trial(self.candidate, problem, measured))
         return (Trial(self.candidate, NOWHERE, failure=found), None) if isinstance(found, str) else found
 
     def measure_virtual(self, frame: Frame, start: EarlierResult) -> Result | None:
@@ -119,7 +111,7 @@ LEAST_MEASURED = 0.95
 NOWHERE = np.zeros((0, 2))
 
 
-def collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
+def _collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
     """Judge what a candidate measured of the pair by residual, degrees of freedom and noise; collective.
 
     The field comes with the trial, both on every rank. The problem is of one camera, the measurement the last one with
@@ -137,7 +129,7 @@ def collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: M
                  noise=noise), result
 
 
-def draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Array:
+def _draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Array:
     """Draw places all over the mesh of the first field that was measured, the same at every call.
 
     Places are (n_points, 2), pixels. Raises ConvergenceError where no candidate measured anything.
@@ -150,14 +142,14 @@ def draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Arr
     return np.asarray(points[np.isfinite(result.at(points)).all(axis=1)])
 
 
-def evaluate_pair(trial: Trial, field: Result | None, points: Array, material: Material) -> Trial:
+def _evaluate_pair(trial: Trial, field: Result | None, points: Array, material: Material) -> Trial:
     """Add what a candidate measured of the pair at points, (n_points, 2), pixels, and its forces out of equilibrium."""
     if field is None:
         return replace(trial, displacement=np.full(points.shape, np.nan))
     return replace(trial, displacement=field.at(points), gap=measure_gap(field.mesh, field.displacement, material))
 
 
-def evaluate_virtual(trial: Trial, result: Result | None, truth: VirtualTruth, points: Array) -> Trial:
+def _evaluate_virtual(trial: Trial, result: Result | None, truth: VirtualTruth, points: Array) -> Trial:
     """Compare what a candidate measured of the virtual images with the truth at points, (n_points, 2), pixels.
 
     The trial gains its RMS error of a component, or why there is none; ``result`` is None where it could not be
@@ -248,11 +240,11 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
     material = Material() if section is None else build_material(section)
     stays_open = reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
     with ExitStack() as stack:
-        sessions = [stack.enter_context(closing(CandidateSession(team, candidate, inputs, stays_open=stays_open)))
+        sessions = [stack.enter_context(closing(_CandidateSession(team, candidate, inputs, stays_open=stays_open)))
                     for candidate, inputs in varied]
         trials, fields = _measure_pair(sessions, frame, advance)
-        points = team.alike(lambda: draw_points(trials, fields))
-        trials = [evaluate_pair(trial, field, points, material) for trial, field in zip(trials, fields, strict=True)]
+        points = team.alike(lambda: _draw_points(trials, fields))
+        trials = [_evaluate_pair(trial, field, points, material) for trial, field in zip(trials, fields, strict=True)]
         noise = estimate_pair_noise(trials, _find_noise_transfer(trials, degree))
         trials = predict_errors(trials, noise, team.on_root(lambda: _measure_gradient(reference, points, degree)))
         known = int(np.nanargmin([trial.predicted_error for trial in trials]))
@@ -266,13 +258,13 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
             advance(f"virtual images, {trials[number].candidate.describe()}")
             if not trials[number].failure:
                 measured = session.measure_virtual(virtual, start)
-                trials[number] = evaluate_virtual(trials[number], measured, truth, points)
+                trials[number] = _evaluate_virtual(trials[number], measured, truth, points)
     trials = correct_predictions(trials, known)
     chosen = team.alike(lambda: choose_trial(trials))
     return Sweep(tuple(trials), points, noise.camera, known, chosen)
 
 
-def _measure_pair(sessions: Sequence[CandidateSession], frame: Frame,
+def _measure_pair(sessions: Sequence[_CandidateSession], frame: Frame,
                   advance: Advance) -> tuple[list[Trial], list[Result | None]]:
     """What each measures of the pair, from the second on starting from the first field."""
     trials: list[Trial] = []
@@ -289,10 +281,7 @@ def _measure_pair(sessions: Sequence[CandidateSession], frame: Frame,
 
 
 def _find_noise_transfer(trials: Sequence[Trial], degree: int) -> float:
-    """What interpolation leaves of the deformed image's noise where the specimen has moved, from 0 to 1.
-
-    Of the trials of the pair the first that measured it counts.
-    """
+    """What interpolation leaves of the deformed image's noise, 0 to 1, where the first trial measured it has moved."""
     measured = next(trial for trial in trials if not trial.failure)
     is_known = np.isfinite(measured.displacement).all(axis=1)
     # As much along x as along y.
@@ -308,9 +297,6 @@ def _measure_gradient(reference: MaskedSource, points: Array, degree: int) -> fl
 
 
 def _render(team: Team, reference: MaskedSource, truth: VirtualTruth, noise: float) -> Frame:
-    """The deformed image of a displacement, with noise of a standard deviation, grey levels; collective.
-
-    Every rank holds it whole, 4 bytes a pixel.
-    """
+    """The deformed image of a displacement, with noise of a standard deviation, whole on every rank; collective."""
     values = team.on_root(lambda: truth.render(reference.read_whole(), noise))
     return (MaskedSource(ArraySource(Path("virtual image"), values)),)

@@ -130,7 +130,7 @@ def prepare_reference(team: Team, inputs: Inputs, whole: WholeMesh, clock: Phase
         # Without regularization a blank part is singular whatever the partition, and the factorisation says where.
         return problem, found
     with clock.phase(Phase.ASSEMBLE):
-        joined = join_blank_subdomains(team, whole, problem)
+        joined = _join_blank_subdomains(team, whole, problem)
     if joined is not None:
         region_mesh, parts, note = joined
         problem = _read_and_assemble(team, inputs, region_mesh, parts, clock, (note,))
@@ -160,8 +160,8 @@ def assemble_hessians(team: Team, views: Iterable[Sequence[View]]) -> Hessians:
     return team.together(lambda: ByView([view.assemble_hessian() for view in of_subdomain] for of_subdomain in views))
 
 
-def join_blank_subdomains(team: Team, whole: WholeMesh,
-                          problem: ReferenceProblem) -> tuple[RegionMesh | None, IntArray | None, str] | None:
+def _join_blank_subdomains(team: Team, whole: WholeMesh,
+                           problem: ReferenceProblem) -> tuple[RegionMesh | None, IntArray | None, str] | None:
     """Merge subdomains, or loose pieces of them, without texture with neighbours of the same camera; collective.
 
     Gives the whole mesh and the new subdomain of each cell, (n_cells,), of which none is blank, both on rank 0, and

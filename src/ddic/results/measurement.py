@@ -251,7 +251,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
                               excluded, unmeasured, solved.seen.whole, evidence, solved.solution.stop, failure,
                               problem.solver.method, problem.solver.preconditioner, uncertainty)
     are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
-    inverted = describe_inverted_cells(team, measurement.subdomains, measurement.displacements, are_used)
+    inverted = _describe_inverted_cells(team, measurement.subdomains, measurement.displacements, are_used)
     found = lost or inverted
     if found and not failure:
         raise as_collective(ConvergenceError(found, replace(measurement, failure=found)))
@@ -321,10 +321,7 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
 
 
 def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[BoolArray]:
-    """Cells within a cut-off wavelength of one that is pulled, (n_cells,) of each owned subdomain; collective.
-
-    Mechanics carry on what holds that one off.
-    """
+    """Cells, (n_cells,), within a cut-off wavelength of a pulled one, which mechanics carry on; collective."""
     wavelength = compute_cut_off_wavelength(problem.reference.inputs.case)
     centroids = [subdomain.mesh.centroids for subdomain in problem.reference.subdomains]
     mine = [of_mesh[held.cells] for of_mesh, of_views in zip(centroids, excluded.pulled, strict=True)
@@ -336,8 +333,8 @@ def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> l
     return [tree.query(of_mesh)[0] <= wavelength for of_mesh in centroids]
 
 
-def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
-                            are_used: Sequence[BoolArray]) -> str:
+def _describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
+                             are_used: Sequence[BoolArray]) -> str:
     """Say which cells a field turns inside out, however small the last correction: no matter moves so; collective.
 
     Displacements are those of nodes, (n_dofs,), pixels, nan where nothing was measured. ``are_used`` tells which cells

@@ -130,7 +130,7 @@ def write_case(measured: Publishable, writer: ResultWriter, of_method: dict[str,
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
 
 
-def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
+def _collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
     """Collect the facts that let a reader repeat a measurement: date, command, versions, then ``origin``; on rank 0."""
     return {"date": datetime.now(UTC).isoformat(timespec="seconds"), "command": " ".join(sys.argv),
             **_collect_versions(), **origin}
@@ -205,10 +205,7 @@ def pack(measurement: Publishable, *, flip_y: bool, add: Add) -> bytes | None:
 
 def _write(measurement: Publishable, path: Path | None, take: Callable[[ResultWriter], T], *, flip_y: bool = False,
            files: NewFiles | None = None) -> T | None:
-    """Write a measurement, in memory without a path; collective.
-
-    What fails on rank 0, a full disk, say, is raised on all ranks, and leaves no file.
-    """
+    """Write a measurement, in memory without a path; an error of rank 0, raised on all, leaves no file; collective."""
     team = measurement.team
     with ExitStack() as stack:
         writer = team.build_on_root(lambda: stack.enter_context(ResultWriter(path, flip_y=flip_y, files=files)))
@@ -218,7 +215,7 @@ def _write(measurement: Publishable, path: Path | None, take: Callable[[ResultWr
 
         def finish() -> T:
             opened = require_held(writer)
-            opened.write_attributes(schema.PROVENANCE, collect_provenance(origin))
+            opened.write_attributes(schema.PROVENANCE, _collect_provenance(origin))
             return take(opened)
 
         result = team.build_on_root(finish)
