@@ -42,8 +42,7 @@ from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_not_controlled_nodes
-from ddic.partition.split import split_by_blocks
-from ddic.partition.split_grid import split_grid_by_blocks
+from ddic.partition.split import split_by_blocks, split_grid_by_blocks
 from ddic.partition.ties import Tying
 from ddic.problem.choose_solver import count_given_subdomains
 from ddic.problem.region_mesh import check_lines, describe_cut, describe_cut_off, list_discontinuities

@@ -50,9 +50,8 @@ from ddic.results.publishing import describe_images, write_case
 from ddic.results.residual_image import Patch, write_patches
 from ddic.results.summary import Summary, find_field_ranges
 from ddic.results.verdict import Evidence, choose_verdict
-from ddic.separated.band_sums import N_BANDS
 from ddic.separated.corrections import CorrectionRecord, SeparatedSolution, correct_displacement
-from ddic.separated.field import LineElements, SeparatedField
+from ddic.separated.field import N_BANDS, LineElements, SeparatedField
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
 from ddic.visibility.cell_errors import (

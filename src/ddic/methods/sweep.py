@@ -15,8 +15,10 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ddic.arrays import Array
+from ddic.case.schema import Case, RegularizationSection
 from ddic.errors import ConvergenceError, DdicError, is_collective
 from ddic.functionals.noise_transfer import build_white_transfer
 from ddic.functionals.regularization import Material
@@ -50,9 +52,68 @@ from ddic.results.sweep import (
 )
 from ddic.solvers.probing import estimate_degrees_of_freedom, estimate_response
 from ddic.start.given_start import EarlierResult, keep_displacement
-from ddic.synth.virtual_image import render_virtual_image
 
 T = TypeVar("T")
+
+
+ELEMENT_FACTORS = (0.5, 2**-0.5, 1.0, 2**0.5, 2.0)
+"""Element sizes that are tried, over that of the case."""
+
+WAVELENGTH_FACTORS = tuple(2 ** (k / 2) for k in range(-4, 5))
+"""Cut-off wavelengths that are tried, over that of the case."""
+
+ELEMENTS_A_WAVELENGTH = 5.0
+"""Elements in the cut-off wavelength about which a case without one is tried."""
+
+_DIGITS = 3
+"""Of the sizes that are tried: they are written into case files."""
+
+
+def set_resolution(case: Case, element_size: float | None, wavelength: float) -> Case:
+    """Put another element size and cut-off wavelength l_c, pixels, into a case, and ask for no residual image.
+
+    All else stays. An ``element_size`` of None keeps the mesh, a ``wavelength`` of 0 leaves the regularization out. The
+    case is not validated again.
+    """
+    section = case.regularization
+    if wavelength and section is not None:
+        section = section.model_copy(update={"cut_off_wavelength": wavelength, "eta": None})
+    elif wavelength:
+        section = RegularizationSection(cut_off_wavelength=wavelength)
+    else:
+        section = None
+    mesh = case.mesh
+    if element_size is not None and mesh.structured is not None:
+        structured = mesh.structured.model_copy(update={"element_size": element_size})
+        mesh = mesh.model_copy(update={"structured": structured})
+    output = case.output.model_copy(update={"residual_image": False})
+    return case.model_copy(update={"mesh": mesh, "regularization": section, "output": output})
+
+
+def list_element_sizes(case: Case) -> list[float | None]:
+    """List element sizes about that of a case, pixels, its own first; None alone where a file brings the elements."""
+    if case.mesh.structured is None:
+        return [None]
+    own = case.mesh.structured.element_size
+    x0, y0, x1, y1 = case.mesh.structured.region
+    sizes = [_round(own * factor) for factor in ELEMENT_FACTORS]
+    return [own, *(size for size in sizes if size != own and size <= min(x1 - x0, y1 - y0))]
+
+
+def list_wavelengths(case: Case, typical_size: float) -> list[float]:
+    """List cut-off wavelengths about that of a case, pixels, its own first, and 0 for no regularization.
+
+    ``typical_size`` is that of its elements, pixels.
+    """
+    section = case.regularization
+    own = None if section is None else section.cut_off_wavelength
+    middle = ELEMENTS_A_WAVELENGTH * typical_size if own is None else own
+    others = [0.0, *(_round(middle * factor) for factor in WAVELENGTH_FACTORS)]
+    return list(dict.fromkeys([*([] if own is None else [own]), *others]))
+
+
+def _round(size: float) -> float:
+    return float(f"{size:.{_DIGITS}g}")
 
 
 class _CandidateSession:
@@ -217,6 +278,63 @@ class VirtualTruth:
         random = np.random.default_rng(0)
         image += np.float32(noise) * random.standard_normal(image.shape, dtype=np.float32)
         return image
+
+
+DEGREE = 5
+"""Of the spline that moves the image: another one than the cubic that measures, or its errors would cancel."""
+
+NEAR_PX = 1e-5
+"""Change of a point, pixels, below which it is where it came from; a larger one blurs the known displacement."""
+
+MOST_STEPS = 50
+"""Steps after which a point stays where it is: at the sides of a crack that closes none fits."""
+
+_ROWS = 256
+"""Rows that are made at once; a larger value takes more memory."""
+
+
+def render_virtual_image(grey: Array, displacement: Array) -> NDArray[np.float32]:
+    """Render g(y) = f(x) with x + u(x) = y, f interpolated by a quintic spline.
+
+    ``displacement`` is u at pixel centres, (height, width, 2), pixels, finite. Noise of f moves with the specimen and
+    is texture here; interpolation smooths it. What f does not show is its mirror image.
+    """
+    coefficients = ndimage.spline_filter(grey, DEGREE, mode="mirror")
+    affine = _fit_affine(displacement)
+    bands = []
+    for first in range(0, grey.shape[0], _ROWS):
+        rows = np.arange(first, min(first + _ROWS, grey.shape[0]))
+        y, x = np.meshgrid(rows, np.arange(grey.shape[1]), indexing="ij")
+        origins = _find_origins(displacement, affine, np.stack([x, y]).astype(np.float64))
+        bands.append(ndimage.map_coordinates(coefficients, origins[::-1], order=DEGREE, prefilter=False,
+                                             mode="mirror").astype(np.float32))
+    return np.concatenate(bands)
+
+
+def _fit_affine(displacement: Array) -> tuple[Array, Array]:
+    """F and t of x + u(x) = F x + t + small, by least squares over a few thousand pixels."""
+    height, width, _ = displacement.shape
+    y, x = np.mgrid[0:height:max(1, height // 64), 0:width:max(1, width // 64)]
+    columns = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    fitted = np.linalg.lstsq(columns, displacement[y.ravel(), x.ravel()], rcond=None)[0]
+    return np.eye(2) + fitted[:2].T, fitted[2]
+
+
+def _find_origins(displacement: Array, affine: tuple[Array, Array], points: Array) -> Array:
+    """The x of points y, both (2, rows, columns): x <- F^-1 (y - t - what is left of u at x)."""
+    gradient, offset = affine
+    inverse = np.linalg.inv(gradient)
+    shift = offset[:, None, None]
+    x = np.einsum("ij,jrc->irc", inverse, points - shift)
+    for _ in range(MOST_STEPS):
+        u = np.stack([ndimage.map_coordinates(displacement[..., axis], x[::-1], order=1, mode="nearest")
+                      for axis in range(2)])
+        # Without its affine part, so that turned and stretched images need no more steps than others.
+        change = np.einsum("ij,jrc->irc", inverse, points - x - u)
+        x = x + change
+        if np.abs(change).max() <= NEAR_PX:
+            break
+    return np.asarray(x)
 
 
 KEPT_PIXELS = 50_000_000

@@ -17,8 +17,7 @@ from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import BOUNDARY, is_in_box
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.partition.split import NODE_PIXELS
-from ddic.partition.split_grid import split_grid, split_grid_by_blocks
+from ddic.partition.split import NODE_PIXELS, split_grid, split_grid_by_blocks
 from ddic.partition.subdomain import Subdomain, begin_subdomain
 from ddic.problem.region_mesh import Region, RegionSizes
 

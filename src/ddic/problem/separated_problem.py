@@ -22,9 +22,8 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.region_mesh import build_material, describe_cut_off
 from ddic.problem.weighted_problem import ProblemSize
-from ddic.separated.band_sums import divide_rows
 from ddic.separated.corrections import OF_GAP, OF_TIKHONOV, Regularization, Scheme, StoppingRules
-from ddic.separated.field import LineElements
+from ddic.separated.field import LineElements, divide_rows
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
     ControlledLines,
