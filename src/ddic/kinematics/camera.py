@@ -25,11 +25,8 @@ LONGEST = 8.0
 whatever the partition."""
 
 
-def see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts:
-    """Map parts of cut cells from the specimen's frame into a camera's pixels; edges stay straight.
-
-    ``mesh`` are the cells that the camera measures, specimen's frame.
-    """
+def _see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts:
+    """Parts of cut cells of ``mesh``, specimen's frame, in a camera's pixels; edges stay straight."""
     polylines = [piece for line in parts.lines.polylines for piece in _see_line(line, mesh, mapping)]
     # What a bend cuts off lies in one cell.
     near = [bend for bend in parts.lines.bends if _is_near(bend, mesh).all()]
@@ -224,7 +221,7 @@ def place_before_camera(field: Kinematics, setup: CameraSetup,
 
 def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
     """Map a mesh from the specimen's frame into the camera's pixels, edges straight, which distortion bends little."""
-    parts = None if mesh.parts is None else see_parts(mesh.parts, mesh, setup.mapping)
+    parts = None if mesh.parts is None else _see_parts(mesh.parts, mesh, setup.mapping)
     return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types, parts=parts)
 
 

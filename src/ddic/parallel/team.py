@@ -210,17 +210,11 @@ class Team:
         return outcome
 
     def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
-        """Run work on rank 0 and give each rank its item of the result, which has one per rank.
-
-        Raises on all ranks what the work raises.
-        """
+        """Run work on rank 0, whose errors all ranks raise, and give each rank its item of the result."""
         return self.scatter(self.build_on_root(work))
 
     def together(self, work: Callable[[], T]) -> T:
-        """Run work, free of communication, on every rank, and return this rank's own result.
-
-        Raises on all ranks what the work of the lowest rank that fails raises.
-        """
+        """Run work, free of communication, on every rank; all raise what that of the lowest that fails raises."""
         error: Exception | None = None
         try:
             result = work()
@@ -452,10 +446,7 @@ class Team:
 
 
 def require_held(item: T | None) -> T:
-    """Return what this rank holds, for work on the rank that ``build_on_root``, ``gather_to``... gave it to.
-
-    Raises RuntimeError on a rank that does not hold it.
-    """
+    """Return what this rank holds of ``build_on_root``, ``gather_to``...; raises RuntimeError on one that does not."""
     if item is None:
         raise RuntimeError("this rank holds nothing: another rank was given it")
     return item

@@ -106,10 +106,7 @@ def renumber(parts: IntArray) -> IntArray:
 
 
 def _fill_empty(parts: IntArray, n_subdomains: int, adjacent: tuple[IntArray, IntArray]) -> IntArray:
-    """Give each subdomain without cells that cell of the largest one which has fewest neighbours there.
-
-    METIS leaves some empty where there are few cells for each.
-    """
+    """Give subdomains that METIS leaves empty that cell of the largest one with fewest neighbours there."""
     indptr, indices = adjacent
     filled, counts = parts.copy(), np.bincount(parts, minlength=n_subdomains)
     for empty in np.flatnonzero(counts == 0):
@@ -152,10 +149,7 @@ Adjacency = tuple[IntArray, IntArray]
 
 
 def find_connected_pieces(adjacency: Adjacency) -> IntArray:
-    """Find the pieces of a mesh whose cells facets connect: the piece of each cell, from 0.
-
-    A node alone is a hinge: mechanics do not hold one piece by another at it.
-    """
+    """Find the piece of each cell, from 0: facets connect cells, a node alone, which is a hinge, does not."""
     indptr, indices = adjacency
     n_cells = len(indptr) - 1
     ones = np.ones(len(indices), dtype=np.int64)

@@ -289,10 +289,7 @@ class SeparatedField:
 
 
 def scale_modes(along_x: LineElements, along_y: LineElements, x: Array, y: Array) -> SeparatedField:
-    """Give modes functions of mean square 1, and amplitudes.
-
-    The products of ``x`` (n_modes, 2, n_x) and ``y`` (n_modes, 2, n_y) are displacements, pixels.
-    """
+    """Make a field of modes ``x`` and ``y``, (n_modes, 2, n), whose products are displacements, pixels."""
     sizes = _measure_functions(along_x, x), _measure_functions(along_y, y)
     safe = [np.where(size > _TINY, size, 1.0)[..., None] for size in sizes]
     return SeparatedField(along_x, along_y, sizes[0] * sizes[1], x / safe[0], y / safe[1])

@@ -178,10 +178,7 @@ class _Sums(NamedTuple):
 
 
 def _measure_energies(hessians: Array, forces: Array, translations: Array | None) -> tuple[Array, Array]:
-    """b_e^T M_e^-1 b_e and rank M_e of each cell, (n,).
-
-    With M_e of the translations of each, (n, 2, 2), without the forces that move it as a whole.
-    """
+    """b_e^T M_e^-1 b_e and rank M_e, (n,), of translations, (n, 2, 2), without what moves cells as a whole."""
     values, vectors = np.linalg.eigh(hessians)
     is_held = values > SINGULAR * values[:, -1:]
     along = np.einsum("eji,ej->ei", vectors, forces)
@@ -329,11 +326,11 @@ def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation:
         return ImageNoise((given,), GIVEN)
     if inputs.case.images.at_rest is not None:
         return ImageNoise((_measure_at_rest(problem, inputs.case.images.at_rest),), OF_REST)
-    return ImageNoise((estimate_from_residual(model, evaluation, q, inputs.case.correlation.spline_degree),),
+    return ImageNoise((_estimate_from_residual(model, evaluation, q, inputs.case.correlation.spline_degree),),
                       OF_RESIDUAL)
 
 
-def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Field, degree: int) -> float:
+def _estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Field, degree: int) -> float:
     """Estimate the noise of one camera's images from what the field leaves of grey-level conservation; collective.
 
     Of every cell the mean square of f - a g - b is sigma^2 (1 + a^2 c), c the noise transfer of the spline, whose
