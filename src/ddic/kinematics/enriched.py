@@ -37,11 +37,6 @@ class Discontinuities:
     lines: tuple[Array, ...] = ()
     openings: tuple[Opening, ...] = ()
 
-    @property
-    def n_lines(self) -> int:
-        """Number of lines."""
-        return len(self.lines)
-
     def with_line(self, number: int, line: Array) -> Discontinuities:
         """Give the same lines but for one, which lies elsewhere: (n_vertices, 2), pixels."""
         return Discontinuities((*self.lines[:number], line, *self.lines[number + 1:]), self.openings)

@@ -11,7 +11,15 @@ from typing import Any
 
 from ddic.case.loader import LoadedCase
 from ddic.check.case import load_checked_case
-from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
+from ddic.errors import (
+    ConvergenceError,
+    DdicError,
+    InputError,
+    WriteError,
+    as_collective,
+    is_collective,
+    require_collective,
+)
 from ddic.inputs.inputs import inputs_kept, open_inputs
 from ddic.io import result_schema as schema
 from ddic.io.input_file import find_real_path
@@ -211,8 +219,7 @@ def _try(work: Callable[[], list[str]], otherwise: str) -> list[str]:
     try:
         return work()
     except (OSError, DdicError) as second:
-        if not is_collective(second):
-            raise
+        require_collective(second)
         return [f"{otherwise} ({second})"]
 
 

@@ -25,7 +25,7 @@ from ddic.errors import (
     SingularSubdomainError,
     StoppedError,
     as_collective,
-    is_collective,
+    require_collective,
 )
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import FrameOpener, Inputs, inputs_kept, open_inputs
@@ -106,9 +106,7 @@ def _measure_in_groups(team: Team, loaded: LoadedCase, finished: Mapping[int, Fr
                     listener.note(f"{n_groups} groups of {own.size} ranks measure; this one frames {first}-{end - 1}")
                 records = measure_frames(own, images, numbers, before, folder)
             except (DdicError, OSError) as caught:
-                # An error of this rank alone ends all.
-                if not is_collective(caught):
-                    raise
+                require_collective(caught)
                 error = caught
         is_first = own.is_root
     team.share_error(error)
@@ -228,8 +226,7 @@ def _note_failure(team: Team, error: DdicError, record: FrameRecord, folder: Ser
             publish(last, path, flip_y=last.inputs.case.output.flip_y)
         except (OSError, DdicError) as second:
             # That the frame failed is told first; this comes of it.
-            if not is_collective(second):
-                raise
+            require_collective(second)
             record = replace(record, failure=f"{record.failure}; its last field could not be written ({second})")
     team.on_root(lambda: folder.write_failure(record.number, record.as_json()))
 
@@ -366,8 +363,7 @@ class _ReferenceSession:
                 start = reference.convert_to_reference([unknowns[s.index] for s in reference.subdomains])
                 return session.measure(frame, start, LEAST_SHOWN * states[-1].shown_share)
             except (ConvergenceError, SingularSubdomainError) as error:
-                if not is_collective(error):
-                    raise
+                require_collective(error)
                 listener.note(f"from {self.started_from}: {error}; it is searched for")
                 self.started_from = SEARCH
         session.begin_anew()
@@ -444,8 +440,7 @@ def _measure_frame(session: _ReferenceSession, number: int, states: Sequence[Fra
             frame = opener.open(number)
             session, measurement = _measure_on_lines(session, frame, states, record.time)
     except DdicError as error:
-        if not is_collective(error):
-            raise
+        require_collective(error)
         return _MeasuredFrame(replace(record, failure=str(error)), error, session)
     deviation = measurement.evaluation.grey[0].residual_std
     record = replace(record, converged=True, iterations=measurement.n_iterations, started_from=session.started_from,
@@ -526,8 +521,7 @@ class _FramesSoFar:
         try:
             updated = self.session.update(last, self.states[-1])
         except DdicError as error:
-            if not is_collective(error):
-                raise
+            require_collective(error)
             listener.note(f"frame {last.number} cannot be the reference image: {error}")
             return None
         listener.note(f"frame {last.number} is the reference image from here on; its error adds up to those that "

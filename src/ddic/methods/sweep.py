@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from ddic.arrays import Array
 from ddic.case.schema import Case, RegularizationSection
-from ddic.errors import ConvergenceError, DdicError, is_collective
+from ddic.errors import ConvergenceError, DdicError, require_collective
 from ddic.functionals.noise_transfer import build_white_transfer
 from ddic.functionals.regularization import Material
 from ddic.functionals.texture import measure_gap
@@ -146,9 +146,7 @@ class _CandidateSession:
                 self._session = DecomposedSession(self._team, self._inputs, Silence(), clock)
             return take(self._session.problem, self._session.measure(frame, start))
         except DdicError as error:
-            # What this rank alone raises must end the job.
-            if not is_collective(error):
-                raise
+            require_collective(error)
             self.close()
             return str(error)
         finally:

@@ -116,7 +116,7 @@ def merge_groups(some: Groups, others: Groups) -> Groups:
 
 def sum_groups(groups: Groups) -> Array:
     """Sum the groups of all terms; one is left where the number of terms is a power of 2."""
-    total, *others = (groups[place] for place in sorted(groups, key=_find_first_term))
+    total, *others = (groups[place] for place in sorted(groups, key=lambda place: place[1] << place[0]))
     return sum(others, start=total)
 
 
@@ -129,11 +129,6 @@ def _add(groups: Groups, place: Place, values: Array) -> None:
         return
     first, second = (neighbour, values) if number % 2 else (values, neighbour)
     _add(groups, (level + 1, number // 2), first + second)
-
-
-def _find_first_term(place: Place) -> int:
-    level, number = place
-    return number << level
 
 
 @dataclass(frozen=True)
@@ -214,7 +209,7 @@ class Team:
         return self.scatter(self.build_on_root(work))
 
     def together(self, work: Callable[[], T]) -> T:
-        """Run work, free of communication, on every rank; all raise what that of the lowest that fails raises."""
+        """Run work, free of communication, on every rank, for its own result; all raise the lowest failing's error."""
         error: Exception | None = None
         try:
             result = work()

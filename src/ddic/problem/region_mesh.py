@@ -101,7 +101,7 @@ def _cut_region(inputs: Inputs, mesh: Mesh, labels: IntArray) -> _CutRegion | No
     element from side to side.
     """
     discontinuities = list_discontinuities(inputs.case)
-    if not discontinuities.n_lines:
+    if not discontinuities.lines:
         return None
     check_lines(inputs.case, mesh)
     cut, patch = cut_by_lines(inputs.case, mesh)

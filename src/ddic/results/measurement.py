@@ -12,7 +12,7 @@ import numpy as np
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
-from ddic.errors import ConvergenceError, DdicError, as_collective, is_collective, list_first
+from ddic.errors import ConvergenceError, DdicError, as_collective, is_collective, list_first, require_collective
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
@@ -275,9 +275,7 @@ def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evalua
     try:
         found = estimate_field_uncertainty(problem, model, evaluation, q, unmeasured)
     except ConvergenceError as error:
-        # What this rank alone raises must end the job.
-        if not is_collective(error):
-            raise
+        require_collective(error)
         return None, (f"no standard deviations were estimated, and the result holds none: {error}",)
     return found, describe_uncertainty(found)
 
@@ -368,10 +366,8 @@ def last_field_kept(clock: PhaseClock, finish: Callable[[Any, str], object]) -> 
                 try:
                     error.last = finish(found, str(error))
                 except DdicError as second:
-                    # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the
-                    # job.
-                    if not is_collective(second):
-                        raise
+                    # Where no pixel is left, say, there is nothing to show.
+                    require_collective(second)
         raise
 
 

@@ -48,12 +48,8 @@ class Patch:
     values: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class _PackedChunk:
-    """A compressed chunk as the file holds it, and its place in the grid."""
-
-    number: int
-    data: bytes
+_PackedChunk = tuple[int, bytes]
+"""Place of a compressed chunk in the grid, and the chunk as the file holds it."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +148,7 @@ def _lay(patch: Patch, place: Window, chunk: NDArray[np.float32]) -> None:
 
 def _pack(number: int, chunk: NDArray[np.float32]) -> list[_PackedChunk]:
     """A chunk compressed; nothing where it has no pixel."""
-    return [] if np.isnan(chunk).all() else [_PackedChunk(number, pack_chunk(chunk))]
+    return [] if np.isnan(chunk).all() else [(number, pack_chunk(chunk))]
 
 
 def write_residual_images(measurement: Measurement, writer: ResultWriter | None) -> None:
@@ -183,14 +179,14 @@ def write_patches(team: Team, writer: ResultWriter | None, grid: ChunkGrid, wind
     """Write a residual image of which each rank has some patches, in their windows; collective."""
     chunks = _pack_chunks(team, grid, windows, patches)
     places = _make_room(team, writer, grid, chunks).tolist()
-    blocks = [Block(place, chunk.data) for place, chunk in zip(places, chunks, strict=True)]
+    blocks = [Block(place, data) for place, (_, data) in zip(places, chunks, strict=True)]
     batches = (blocks[first:first + CHUNKS_A_BATCH] for first in range(0, len(blocks), CHUNKS_A_BATCH))
     write_blocks(team, writer, batches)
 
 
 def _make_room(team: Team, writer: ResultWriter | None, grid: ChunkGrid, chunks: list[_PackedChunk]) -> IntArray:
     """Places in the file of this rank's chunks, (n,); collective: of the others rank 0 learns number and size alone."""
-    sizes = np.array([(chunk.number, len(chunk.data)) for chunk in chunks], np.int64).reshape(-1, 2)
+    sizes = np.array([(number, len(data)) for number, data in chunks], np.int64).reshape(-1, 2)
     of_ranks = team.gather_to(sizes)
 
     def reserve() -> list[IntArray]:
