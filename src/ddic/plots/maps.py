@@ -249,9 +249,6 @@ def find_points_inside(points: Array, box: Bounds) -> BoolArray:
 
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
-NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
-"""What of a tensor is drawn."""
-
 PANELS = ("xx", "yy", "xy")
 """What is drawn where nothing is asked for."""
 
@@ -268,7 +265,7 @@ class StrainChoice:
     measure : {"infinitesimal", "green-lagrange", "hencky"}
         The tensor.
     number : str or None
-        One of NUMBERS; None for a panel each of xx, yy and xy.
+        One of ``kinds.NUMBERS``; None for a panel each of xx, yy and xy.
     by_cell : bool
         As it was computed in the middle of cells, not as it was recovered at nodes.
     """
@@ -313,7 +310,7 @@ def _pick_tensors(result: Result, choice: StrainChoice) -> Array:
 
 
 def _pick_number(tensors: Array, number: str) -> Array:
-    """Pick a component, a principal value or the equivalent strain, one of NUMBERS, of tensors xx, yy, xy, (n, 3)."""
+    """Pick a component, a principal value or the equivalent strain, of tensors xx, yy, xy, (n, 3)."""
     if number in PANELS:
         return tensors[:, PANELS.index(number)]
     if number == "von-mises":
