@@ -1,7 +1,5 @@
 """Calibration of a near camera by one picture of each: a search by normalised cross-correlation, then registration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

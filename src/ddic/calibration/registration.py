@@ -1,7 +1,5 @@
 """Registration of an image in one of lower magnification: Gauss-Newton on the few parameters of a camera mapping."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal

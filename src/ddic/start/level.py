@@ -4,8 +4,6 @@ A tile is correlated with what surrounds it, by one rank alone. The level before
 that nothing farther off matters, and tiles need not know of each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -15,8 +15,6 @@ which is no texture: forces change with the displacement by theta M only, so tha
 much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
