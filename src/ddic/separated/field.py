@@ -379,16 +379,12 @@ class BandSums(Protocol):
 
     def add_up(self, of_bands: Iterable[Array]) -> Array:
         """Sum arrays of one shape, one of each owned band in order, over the bands of all ranks."""
-        ...
 
     def join(self, of_bands: Iterable[Array]) -> Array:
         """Put arrays, one of each owned band in order, side by side along their last axis, those of all ranks."""
-        ...
 
     def broadcast(self, item: T) -> T:
         """Give all ranks what the first one has, so that rounding lets none of them decide otherwise."""
-        ...
 
     def together(self, work: Callable[[], T]) -> T:
         """Run work, free of communication, that may fail on one rank alone, and return its result."""
-        ...

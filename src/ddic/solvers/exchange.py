@@ -22,7 +22,6 @@ class _Multiplying(Protocol):
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply y = A x: PETSc's callback."""
-        ...
 
 
 class Exchange:

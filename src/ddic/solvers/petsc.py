@@ -296,7 +296,6 @@ class _Destroyable(Protocol):
 
     def destroy(self) -> object:
         """Free it."""
-        ...
 
 
 T = TypeVar("T", bound=_Destroyable)

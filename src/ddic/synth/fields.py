@@ -18,11 +18,9 @@ class DisplacementField(Protocol):
 
     def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u, (n, 2), at points (n, 2), both in pixels."""
-        ...
 
     def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j, (n, 2, 2), no unit, at points (n, 2), pixels."""
-        ...
 
 
 def require_finite(field: str, **values: float | tuple[float, ...]) -> None:

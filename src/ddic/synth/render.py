@@ -181,11 +181,9 @@ class Pictured(Protocol):
 
     def reference_grey(self, points: Array) -> Array:
         """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
-        ...
 
     def deformed_grey(self, points: Array) -> Array:
         """Evaluate the grey level g after the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
-        ...
 
 
 @dataclass(frozen=True)

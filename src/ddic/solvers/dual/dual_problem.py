@@ -190,7 +190,6 @@ class _LocalProduct(Protocol):
 
     def apply(self, x: Array) -> Array:
         """Multiply a vector, (n interface unknowns,)."""
-        ...
 
 
 class SumOverSubdomains:

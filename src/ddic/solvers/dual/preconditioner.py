@@ -47,7 +47,6 @@ class Preconditioning(Protocol):
 
     def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply y = P x to residuals x: PETSc's callback."""
-        ...
 
 
 class SparseInverse:
