@@ -31,15 +31,7 @@ if TYPE_CHECKING:
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
     from ddic.probes.metrology import Metrology, estimate_metrology
-    from ddic.probes.probes import (
-        Extensometer,
-        LineProbe,
-        PointProbe,
-        Reading,
-        StrainGauge,
-        load_probes,
-        measure_probe,
-    )
+    from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Reading, StrainGauge, load_probes, measure_probe
     from ddic.probes.tables import measure_probes, write_field_tables, write_probe_table
     from ddic.report.page import write_report
     from ddic.results.sweep import Candidate, Sweep, Trial

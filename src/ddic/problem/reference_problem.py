@@ -33,14 +33,7 @@ from ddic.partition.split import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.choose_solver import choose_solver
 from ddic.problem.grid_region import GridRegion, find_grid_region
-from ddic.problem.region_mesh import (
-    Region,
-    RegionMesh,
-    build_region_mesh,
-    finish_region,
-    scatter_region,
-    split_region,
-)
+from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, finish_region, scatter_region, split_region
 from ddic.solvers.petsc import describe_missing_packages
 
 T = TypeVar("T")

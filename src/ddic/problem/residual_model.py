@@ -10,11 +10,7 @@ import numpy as np
 from ddic.arrays import Array
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.correlation import (
-    LARGE_SHARE,
-    Residual,
-    find_large_gradients,
-)
+from ddic.functionals.correlation import LARGE_SHARE, Residual, find_large_gradients
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums, measure_deviation
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur

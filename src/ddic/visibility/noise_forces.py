@@ -26,12 +26,7 @@ from ddic.arrays import Array, IntArray
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
 from ddic.functionals.correlation import Residual
-from ddic.functionals.noise_transfer import (
-    build_transfer,
-    build_white_transfer,
-    correlate_slopes,
-    find_cell_transfer,
-)
+from ddic.functionals.noise_transfer import build_transfer, build_white_transfer, correlate_slopes, find_cell_transfer
 from ddic.functionals.view import FrameView, View
 from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, estimate_rest_noise
 from ddic.images.window import Window

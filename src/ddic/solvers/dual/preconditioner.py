@@ -23,13 +23,7 @@ from ddic.solvers.dual.coarse_space import (
     build_coarse_columns,
     find_unlike_neighbours,
 )
-from ddic.solvers.dual.dual_problem import (
-    DualProblem,
-    DualSchurOperator,
-    LocalDual,
-    PackedSymmetric,
-    SumOverSubdomains,
-)
+from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, LocalDual, PackedSymmetric, SumOverSubdomains
 from ddic.solvers.exchange import Exchange, fetch_copies
 from ddic.solvers.petsc import (
     INVERSE,
