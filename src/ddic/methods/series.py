@@ -180,8 +180,7 @@ def _begin(images: _SeriesImages, before: Sequence[FrameRecord], folder: SeriesF
     return _FramesSoFar(updated, records, states)
 
 
-def _keep_frame(team: Team, frame: _MeasuredFrame, folder: SeriesFolder,
-                writer: BackgroundWriter) -> FrameState | None:
+def _keep_frame(team: Team, frame: _MeasuredFrame, folder: SeriesFolder, writer: BackgroundWriter) -> FrameState | None:
     """Begin to write a frame, or note that it could not be measured; collective, the writer is rank 0's.
 
     Returns what the next frame starts from, as it is written; None where it could not be measured. Raises OSError on
