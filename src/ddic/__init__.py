@@ -31,15 +31,7 @@ if TYPE_CHECKING:
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
     from ddic.probes.metrology import Metrology, estimate_metrology
-    from ddic.probes.probes import (
-        Extensometer,
-        LineProbe,
-        PointProbe,
-        Reading,
-        StrainGauge,
-        load_probes,
-        measure_probe,
-    )
+    from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Reading, StrainGauge, load_probes, measure_probe
     from ddic.probes.tables import measure_probes, write_field_tables, write_probe_table
     from ddic.report.page import write_report
     from ddic.results.sweep import Candidate, Sweep, Trial
@@ -78,55 +70,13 @@ _NAMED_THERE = {"draw": "draw_case", "open": "read_result", "open_series": "read
 """What names are called at home, where they differ."""
 
 __all__ = [
-    "Candidate",
-    "Case",
-    "ConvergenceError",
-    "CrackTip",
-    "DdicError",
-    "Extensometer",
-    "FactorizationError",
-    "Image",
-    "InputError",
-    "Kinematics",
-    "LineProbe",
-    "LinearRegion",
-    "Mesh",
-    "Metrology",
-    "NodalRegion",
-    "Opening",
-    "PointProbe",
-    "Reading",
-    "RegionKinematics",
-    "Result",
-    "Ring",
-    "SeriesResult",
-    "Session",
-    "SingularSubdomainError",
-    "StrainGauge",
-    "Sweep",
-    "TipDeviations",
-    "Trial",
-    "Uncertainty",
-    "__version__",
-    "choose_regularization",
-    "draw",
-    "estimate_metrology",
-    "estimate_uncertainty",
-    "find_crack_tip",
-    "load_case",
-    "load_probes",
-    "make_synthetic_pair",
-    "measure",
-    "measure_opening",
-    "measure_probe",
-    "measure_probes",
-    "open",
-    "open_series",
-    "prepare",
-    "structured_mesh",
-    "view_results",
-    "write_field_tables",
-    "write_probe_table",
+    "Candidate", "Case", "ConvergenceError", "CrackTip", "DdicError", "Extensometer", "FactorizationError", "Image",
+    "InputError", "Kinematics", "LineProbe", "LinearRegion", "Mesh", "Metrology", "NodalRegion", "Opening",
+    "PointProbe", "Reading", "RegionKinematics", "Result", "Ring", "SeriesResult", "Session",
+    "SingularSubdomainError", "StrainGauge", "Sweep", "TipDeviations", "Trial", "Uncertainty", "__version__",
+    "choose_regularization", "draw", "estimate_metrology", "estimate_uncertainty", "find_crack_tip", "load_case",
+    "load_probes", "make_synthetic_pair", "measure", "measure_opening", "measure_probe", "measure_probes", "open",
+    "open_series", "prepare", "structured_mesh", "view_results", "write_field_tables", "write_probe_table",
     "write_report",
 ]
 

@@ -137,6 +137,12 @@ def as_collective(error: E) -> E:
     return error
 
 
+def require_collective(error: BaseException) -> None:
+    """Raise an error again that this rank alone has, since it must end the job."""
+    if not is_collective(error):
+        raise error
+
+
 def is_collective(error: BaseException) -> bool:
     """Tell whether every rank raised this error, so that the job may end without an abort."""
     return bool(getattr(error, "collective", False))

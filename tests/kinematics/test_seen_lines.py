@@ -33,7 +33,7 @@ def test_a_line_is_seen_along_the_mesh_alone() -> None:
 
 def test_a_line_that_passes_elsewhere_is_not_seen() -> None:
     away = np.array([[0.0, 300.0], [400.0, 310.0]])
-    assert see_discontinuities(Discontinuities((away,), ("both",)), MESH, TILTED).n_lines == 0
+    assert see_discontinuities(Discontinuities((away,), ("both",)), MESH, TILTED).lines == ()
 
 
 def test_parts_of_a_cut_cell_cover_its_pixels() -> None:

@@ -40,7 +40,7 @@ def with_lines(*rows: float, **others: object) -> Options:
 
 
 def measure_notes(slip: float, options: Options, mesh: ddic.Mesh = MESH, seed: int = 1) -> str:
-    return str(ddic.measure(pair(slip, seed), mesh, options=options).attributes["case"]["notes"])
+    return str(ddic.measure(pair(slip, seed), mesh, **options).attributes["case"]["notes"])
 
 
 @pytest.mark.parametrize("cut_off", [None, 64.0])
@@ -58,7 +58,7 @@ def test_a_line_that_does_not_open_is_told(cut_off: float | None, seed: int) -> 
 
 def test_images_that_are_alike_are_no_reason_to_change_elements() -> None:
     image = pair(0.0)[0]
-    notes = str(ddic.measure((image, image), MESH, options=with_lines(ROW)).attributes["case"]["notes"])
+    notes = str(ddic.measure((image, image), MESH, **with_lines(ROW)).attributes["case"]["notes"])
     assert "its line does not open" in notes
 
 

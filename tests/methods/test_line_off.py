@@ -153,7 +153,7 @@ def test_a_tip_that_is_farther_off_than_it_may_be_stays_and_is_told() -> None:
 
 
 def test_a_tip_without_room_about_it_is_told() -> None:
-    result = ddic.measure(cracked_pair(), ddic.structured_mesh((16, 16, 240, 240), 4), options={
-        **up_to(-5.0), "regularization": {"cut_off_wavelength": 40.0}})
+    result = ddic.measure(cracked_pair(), ddic.structured_mesh((16, 16, 240, 240), 4), **up_to(-5.0),
+                          regularization={"cut_off_wavelength": 40.0})
     assert ("its tip was not looked at: 4 elements leaves Williams' series 16 px, and it needs 24"
             in str(result.attributes["case"]["notes"]))

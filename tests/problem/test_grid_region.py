@@ -18,8 +18,7 @@ from ddic.mesh.grid import GridBlock, GridLines
 from ddic.mesh.raster import rasterize
 from ddic.mesh.structured import build_grid_lines, build_structured_mesh
 from ddic.parallel.team import Team
-from ddic.partition.split import split_by_blocks
-from ddic.partition.split_grid import split_grid, split_grid_by_blocks
+from ddic.partition.split import split_by_blocks, split_grid, split_grid_by_blocks
 from ddic.partition.subdomain import Interface, Subdomain
 from ddic.problem.grid_region import GridRegion, find_grid_region
 from ddic.problem.region_mesh import build_region_mesh, finish_region, scatter_region

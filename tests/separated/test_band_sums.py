@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ddic.separated.band_sums import N_BANDS, divide_rows
-from ddic.separated.field import LineElements
+from ddic.separated.field import N_BANDS, LineElements, divide_rows
 
 
 @pytest.mark.parametrize("height", [5, 16, 100, 1001])

@@ -12,8 +12,7 @@ from ddic.images.sub_image import DeformedSubImage, read_reference
 from ddic.images.window import Window
 from ddic.parallel.distribution import TeamSums
 from ddic.parallel.team import Team
-from ddic.separated.band_sums import divide_rows
-from ddic.separated.field import LineElements, SeparatedField, scale_modes
+from ddic.separated.field import LineElements, SeparatedField, divide_rows, scale_modes
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands, cut_bands
 from ddic.separated.separated_regularization import (
     ControlledLines,

@@ -18,7 +18,6 @@ from ddic.arrays import Array, IntArray
 from ddic.case.loader import LoadedCase
 from ddic.case.methods import find_method_section
 from ddic.case.named_files import list_deformed
-from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case, DiscontinuitySection, SolverSection
 from ddic.errors import ConvergenceError, InputError, SingularSubdomainError, refuse_unknown_arguments
 from ddic.images.binned import ArraySource
@@ -31,7 +30,7 @@ from ddic.mesh.plane import multiply_across
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.structured import build_structured_mesh
 from ddic.methods.fe_dic import find_discontinuity
-from ddic.methods.sweep import measure_candidates
+from ddic.methods.sweep import list_element_sizes, list_wavelengths, measure_candidates, set_resolution
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference

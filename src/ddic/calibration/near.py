@@ -1,7 +1,5 @@
 """Calibration of a near camera by one picture of each: a search by normalised cross-correlation, then registration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -116,10 +114,7 @@ class TileSearch:
         self.power = sum_window_squares(self.far, self.side)
 
     def find_matches(self, *, fixed: bool = False) -> Iterator[Match]:
-        """Find the best match of each tile, from the tile with the most texture on.
-
-        Where ``fixed``, only the place is searched, with the given ratio and upright.
-        """
+        """Find the best match of each tile, most texture first; where ``fixed``, upright and with the given ratio."""
         for centre in self._choose_tiles():
             yield self._find_best(centre, fixed)
 

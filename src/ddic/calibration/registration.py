@@ -1,7 +1,5 @@
 """Registration of an image in one of lower magnification: Gauss-Newton on the few parameters of a camera mapping."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -58,10 +56,7 @@ class CameraModel:
         return N_PLANE[self.kind] + self.distorts
 
     def build_mapping(self, parameters: Array) -> CameraMapping:
-        """Build the mapping from specimen to image px that has given parameters (n_parameters,).
-
-        Raises ValueError where there is none.
-        """
+        """Build the mapping from specimen to image px with parameters (n_parameters,); ValueError if there is none."""
         homography = self._local_homography(parameters) @ self._to_local()
         k1 = parameters[-1] if self.distorts else 0.0
         return CameraMapping(homography / homography[2, 2], self.centre, self.radius, np.array([k1, 0.0]))

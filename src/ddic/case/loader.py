@@ -47,7 +47,7 @@ KINDS = ("one", "several")
 
 def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
     """Say what is wrong with a parsed case file, a line per problem: key, value given, what is expected."""
-    located = [(remove_kinds(problem["loc"], data), problem) for problem in error.errors(include_url=False)]
+    located = [(_remove_kinds(problem["loc"], data), problem) for problem in error.errors(include_url=False)]
     return [_line(location, problem, data) for location, problem in located
             if problem["type"] != TOO_SHORT or _is_too_short(_value_at(data, location), problem)]
 
@@ -57,7 +57,7 @@ def _is_too_short(value: Any, problem: ErrorDetails) -> bool:
     return isinstance(value, list) and len(value) < problem["ctx"]["min_length"]
 
 
-def remove_kinds(location: Location, data: Any) -> Location:
+def _remove_kinds(location: Location, data: Any) -> Location:
     """Remove from a location what pydantic says of the kind that a value was taken for.
 
     The keys and places that are left lead to a value of the parsed case file, or to one that is missing.
@@ -171,10 +171,7 @@ class KeptMesh:
         self._case, self._built = case, (mesh, tying)
 
     def take(self, case: Case) -> tuple[Mesh, Tying | None] | None:
-        """Give the mesh of a case away, so that its memory is the taker's.
-
-        It is as ``build_meshes`` would build it; None where no mesh of this very case is kept.
-        """
+        """Give away the mesh of a case, as ``build_meshes`` would build it; None where that of this one is not kept."""
         if self._case is not case:
             return None
         built, self._case, self._built = self._built, None, None
@@ -246,10 +243,10 @@ def load_case(path: Path | str) -> LoadedCase:
         each with the file, the key, the value and what is expected.
     """
     path = as_path(path, "case file")
-    return load_case_text(read_text(path, "case file", "check the path"), path)
+    return _load_case_text(read_text(path, "case file", "check the path"), path)
 
 
-def load_case_text(text: str, path: Path) -> LoadedCase:
+def _load_case_text(text: str, path: Path) -> LoadedCase:
     """Read a case from the text of its file, or of what the file is to be, as ``load_case`` does from the file."""
     place = path.resolve()
     _require_text_name(place)
@@ -274,7 +271,7 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
 def load_text_leniently(text: str, path: Path) -> tuple[LoadedCase | None, list[str]]:
     """Read a case from the text of its file as far as it can be read, as ``load_case_leniently`` does from the file."""
     try:
-        return load_case_text(text, path), []
+        return _load_case_text(text, path), []
     except InputError as error:
         problems = list(error.problems)
     try:
@@ -304,7 +301,7 @@ def _validate_without_bad_keys(data: dict[str, Any]) -> Case | None:
             locations = [problem["loc"] for problem in error.errors() if problem["type"] != "missing"]
         if not locations:
             return None
-        for location in [remove_kinds(location, data) for location in locations]:
+        for location in [_remove_kinds(location, data) for location in locations]:
             _remove(data, location)
     return None
 
@@ -330,10 +327,7 @@ def _remove(data: Any, location: Location) -> None:
 
 
 def parse_case_text(text: str, path: Path) -> Case:
-    """Validate the TOML text of a case file; paths stay as they are written.
-
-    ``path`` names the file in messages. Raises InputError as ``load_case`` does.
-    """
+    """Validate the TOML text of a case file, ``path`` in messages; paths stay. Raises InputError as ``load_case``."""
     return convert_to_case(convert_shorthand(parse_toml(text, path)), str(path))
 
 

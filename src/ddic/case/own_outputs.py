@@ -128,10 +128,7 @@ ROOM_IN_NAME = 48
 
 
 def check_output(loaded: LoadedCase) -> None:
-    """Check that the result and what stands beside it can be written and overwrite no input.
-
-    Raises InputError at the first problem.
-    """
+    """Raise InputError where the result or what stands beside it cannot be written, or would overwrite an input."""
     case = loaded.case
     check_output_file(case.output.file)
     if case.output.file.suffix == ".json":
@@ -141,10 +138,7 @@ def check_output(loaded: LoadedCase) -> None:
 
 
 def check_output_file(file: Path) -> None:
-    """Check that a file can be written.
-
-    Raises InputError where it is a folder or a link in circles, or its folder is not there or cannot be written to.
-    """
+    """Raise InputError where a file cannot be written: a folder, a link in circles, or of a folder that is closed."""
     folder = file.parent
     try:
         if _is_endless_link(file):

@@ -42,8 +42,7 @@ from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_not_controlled_nodes
-from ddic.partition.split import split_by_blocks
-from ddic.partition.split_grid import split_grid_by_blocks
+from ddic.partition.split import split_by_blocks, split_grid_by_blocks
 from ddic.partition.ties import Tying
 from ddic.problem.choose_solver import count_given_subdomains
 from ddic.problem.region_mesh import check_lines, describe_cut, describe_cut_off, list_discontinuities
@@ -54,18 +53,8 @@ MOST_BARE = 0.2
 
 
 @dataclass(frozen=True)
-class CheckedMesh:
-    """The mesh of a case.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        The whole mesh, pixels.
-    tying : Tying or None
-        How near fields' own meshes are tied in it; None where there are none.
-    pixel_counts : (n_cells,) array of int64
-        Pixels of each cell in the images that measure it.
-    """
+class _CheckedMesh:
+    """The whole mesh of a case, pixels, how near meshes are tied in it, and the pixels that measure each cell."""
 
     mesh: Mesh
     tying: Tying | None
@@ -233,7 +222,7 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     report: CheckReport | None = find_method(case).check(loaded, reference, points, problems)
     with problems.gathered():
         if n_ranks is not None:
-            n_ranks = count_ranks_of_group(loaded, n_ranks)
+            n_ranks = _count_ranks_of_group(loaded, n_ranks)
         check_ranks(loaded, 1 if n_ranks is None else n_ranks)
     if report is None or problems.lines or of_keys:
         raise InputError([*of_keys, *problems.lines])
@@ -253,7 +242,7 @@ def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, probl
     return None
 
 
-def count_ranks_of_group(loaded: LoadedCase, n_ranks: int) -> int:
+def _count_ranks_of_group(loaded: LoadedCase, n_ranks: int) -> int:
     """Count the ranks that measure a frame, of all ranks; refuse, with an InputError, what has no equal groups."""
     n_groups = loaded.case.series.groups
     if n_ranks % n_groups:
@@ -279,7 +268,7 @@ def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: Sta
     if points is not None:
         with problems.gathered(None if case.start.points is None else loaded.path):
             require_points_inside(points, checked.mesh)
-    not_controlled = check_mesh_uses(loaded, checked, problems)
+    not_controlled = _check_mesh_uses(loaded, checked, problems)
     # What is wrong already may be why nothing is seen; near images may show what the far one does not.
     if reference is not None and not problems.lines and not case.near:
         with problems.gathered(loaded.path):
@@ -287,10 +276,10 @@ def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: Sta
     if reference is None or problems.lines:
         return None
     loaded.kept_mesh.keep(case, checked.mesh, checked.tying)
-    return describe_inputs(case, reference, checked, not_controlled)
+    return _describe_inputs(case, reference, checked, not_controlled)
 
 
-def _build_mesh(loaded: LoadedCase, reference: ImageSource | None, problems: Problems) -> CheckedMesh | None:
+def _build_mesh(loaded: LoadedCase, reference: ImageSource | None, problems: Problems) -> _CheckedMesh | None:
     """The mesh and its pixels, or for its node sets' sake without pixels; None where it cannot be built at all."""
     case = loaded.case
     mesh, tying = None, None
@@ -306,8 +295,8 @@ def _build_mesh(loaded: LoadedCase, reference: ImageSource | None, problems: Pro
     elif not (case.near and problems.lines):
         # What several cameras see of the mesh cannot be said without all of their images.
         with problems.gathered(loaded.path):
-            return CheckedMesh(mesh, tying, _count_pixels(case, mesh, tying))
-    return CheckedMesh(mesh, tying, np.ones(mesh.n_cells, np.int64))
+            return _CheckedMesh(mesh, tying, _count_pixels(case, mesh, tying))
+    return _CheckedMesh(mesh, tying, np.ones(mesh.n_cells, np.int64))
 
 
 def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> IntArray:
@@ -331,13 +320,13 @@ def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
     ranks.
     """
     problems = Problems()
-    check_mesh_uses(loaded, CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
+    _check_mesh_uses(loaded, _CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
     if problems.lines:
         raise InputError(problems.lines)
-    check_most_ranks(loaded, count_most_ranks(loaded.case, mesh), n_ranks)
+    check_most_ranks(loaded, _count_most_ranks(loaded.case, mesh), n_ranks)
 
 
-def check_mesh_uses(loaded: LoadedCase, checked: CheckedMesh, problems: Problems) -> IntArray:
+def _check_mesh_uses(loaded: LoadedCase, checked: _CheckedMesh, problems: Problems) -> IntArray:
     """Check what refers to the mesh, adding to ``problems``, and return the nodes that are not controlled, (n,)."""
     case = loaded.case
     mesh = checked.mesh
@@ -454,7 +443,7 @@ def _check_wavelength(wavelength: float | None, cell_size: float, n_inner_nodes:
     check_wavelength_fits(wavelength, cell_size)
 
 
-def count_most_ranks(case: Case, mesh: Mesh) -> int:
+def _count_most_ranks(case: Case, mesh: Mesh) -> int:
     """Count the subdomains, one a rank, that a case found fit can have at most: one a cell where it leaves it open."""
     solver = case.solver
     if solver.method == "monolithic":
@@ -466,10 +455,7 @@ def count_most_ranks(case: Case, mesh: Mesh) -> int:
 
 
 def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
-    """Refuse more ranks than the mesh can have subdomains: ``most``, as ``count_most_ranks`` says.
-
-    The InputError says what can be changed: only keys that the case gives.
-    """
+    """Raise InputError for more ranks than ``most`` subdomains, with the keys of the case that can be changed."""
     if n_ranks <= most:
         return
     solver = loaded.case.solver
@@ -499,7 +485,8 @@ def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
                          f"least one; start at most {largest} ranks or ask for more subdomains")
 
 
-def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh, not_controlled: IntArray) -> CheckReport:
+def _describe_inputs(case: Case, reference: ImageSource, checked: _CheckedMesh,
+                     not_controlled: IntArray) -> CheckReport:
     """Describe inputs that were found fit; ``not_controlled``, (n,), are nodes that are not controlled."""
     mesh = checked.mesh
     n_unknown_nodes = mesh.n_nodes if checked.tying is None else checked.tying.n_unknown_nodes
@@ -520,7 +507,7 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh, no
         output=case.output.file,
         discontinuities=_describe_discontinuities(case, mesh),
         half_amplitudes=describe_cut_off(case.regularization),
-        most_ranks=count_most_ranks(case, mesh),
+        most_ranks=_count_most_ranks(case, mesh),
     )
 
 

@@ -58,10 +58,7 @@ LEAST_HALF_PROBE = 4
 
 
 def check_images(images: ImagesSection | NearSection, problems: Problems) -> ImageSource | None:
-    """Check the images of a camera and their masks; ``problems`` takes what is found.
-
-    The reference image is returned, None where it cannot be read.
-    """
+    """Check a camera's images and masks, adding to ``problems``; returns the reference image, None if unreadable."""
     reference = _check_image(images.reference, images.reference_mask, problems)
     if reference is not None:
         with problems.gathered():

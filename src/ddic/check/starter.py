@@ -43,10 +43,7 @@ file = "{stem}.vtkhdf"    # ParaView and Python read it; ddic plot draws it
 
 def write_starter_case(path: Path, reference: Path, deformed: Sequence[Path], pattern: Pattern,
                        region: tuple[int, int, int, int]) -> str:
-    """Write the text of a case file at a path, of a pair or, of several deformed images, of a series.
-
-    Images in its folder or beside it are named from there.
-    """
+    """Write the text of a case file at a path, from which images are named, of a pair or of a series."""
     images = [_name_image(image, path.parent) for image in deformed] or [UNNAMED]
     listed = images[0] if len(images) == 1 else "[\n    " + ",\n    ".join(images) + ",\n]"
     element = pattern.choose_element_size()

@@ -88,10 +88,7 @@ millisecond. A larger value wakes it faster, which is not seen in a run; what Op
 
 
 def prepare_idle_threads() -> None:
-    """Have OpenBLAS's threads sleep soon after a product, unless the environment says otherwise.
-
-    As many threads share a product as before, so that no digit changes.
-    """
+    """Have OpenBLAS's threads sleep soon after a product, unless the environment says otherwise; no digit changes."""
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", TIMEOUT)
 
 

@@ -61,10 +61,7 @@ def _require_written() -> None:
 
 
 def take_closed_pipes_as_errors() -> None:
-    """Have a line that nobody reads any more be an error like others; call it where PETSc has begun.
-
-    PETSc would end the process with ten lines.
-    """
+    """Have a closed pipe be an error like others, for which PETSc, if begun, would end the process with ten lines."""
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
@@ -175,10 +172,7 @@ def show_failure(team: Team, error: BaseException, petsc_options: Sequence[str] 
 
 
 def abort_quietly(team: Team, code: int) -> None:
-    """End all ranks where a launcher waits for them, which else has ten lines of its own to say; collective.
-
-    All ranks have failed; ``code`` is the exit code.
-    """
+    """End all ranks, which have failed, where a launcher waits for them, which else says ten lines; collective."""
     if team.size > 1 and is_launcher(os.getppid()):
         team.wait_for_all()
         team.abort(code)

@@ -1,7 +1,5 @@
 """``ddic new``: write a case file to start from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -98,10 +98,7 @@ def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> No
 
 
 def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScale:
-    """Find colours and axes that suit all frames of a series, which is read frame by frame.
-
-    ``kind`` is one that can be animated.
-    """
+    """Find colours and axes that suit all frames of a series, read one by one, for a kind that can be animated."""
     # (n_frames, n_panels, 2)
     found = np.array([find_limits(result, kind, look) for result in series])
     low, high = found[..., 0].min(axis=0).tolist(), found[..., 1].max(axis=0).tolist()

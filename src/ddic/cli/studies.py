@@ -111,10 +111,7 @@ def _write_sweep(found: Sweep, table: Path, figure: Path) -> list[str]:
 
 
 def _choose_outputs(case_file: Path, folder: Path | None, study: Literal["sweep", "uncertainty"]) -> tuple[Path, Path]:
-    """Table and figure of a study, beside the case where no folder is given; refused where they would replace others.
-
-    Others are all files but earlier ones of the study.
-    """
+    """Table and figure of a study, by default beside the case; refused where they replace others than its own."""
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import PICTURE, TRIALS, UNCERTAINTY, require_own_output
 

@@ -24,7 +24,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 Size = tuple[int, int]
 
 
-class ImageOptions(TypedDict):
+class _ImageOptions(TypedDict):
     """The options that every kind of field shares."""
 
     size: Size
@@ -35,7 +35,7 @@ class ImageOptions(TypedDict):
     output: Path
 
 
-def parse_size(_context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
+def _parse_size(_context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
     """Turn "640x480" into (640, 480), pixels, and None into None; raises BadParameter where it is no such text."""
     from ddic.io.image_formats import MOST_PIXELS_ALONG
 
@@ -50,10 +50,10 @@ def parse_size(_context: click.Context, _option: click.Parameter, text: str | No
     return int(match[1]), int(match[2])
 
 
-def add_image_options(size: str, files: str) -> Callable[[Command], Command]:
-    """Make a decorator that adds ImageOptions, ``size`` the default of --size, ``files`` what --output will hold."""
+def _add_image_options(size: str, files: str) -> Callable[[Command], Command]:
+    """Make a decorator that adds _ImageOptions, ``size`` the default of --size, ``files`` what --output will hold."""
     options = (
-        click.option("--size", callback=parse_size, default=size, metavar="WIDTHxHEIGHT", help="Size, pixels."),
+        click.option("--size", callback=_parse_size, default=size, metavar="WIDTHxHEIGHT", help="Size, pixels."),
         click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8",
                      help="8 or 16 bit, or 32 for float values on the scale 0..255."),
         click.option("--noise", type=float, default=0.0,
@@ -162,17 +162,18 @@ _FILES = "far_reference.tif, far_deformed.tif, near_reference.tif, near_deformed
 @click.option("--poisson-ratio", type=float, default=0.3)
 @click.option("--translation", type=float, nargs=2, default=(0.0, 0.0),
               help="Rigid displacement of the specimen, far px.")
-@click.option("--size-far", callback=parse_size, metavar="WIDTHxHEIGHT", help="Of the far images.  [default: --size]")
-@click.option("--size-near", callback=parse_size, metavar="WIDTHxHEIGHT", help="Of the near images.  [default: --size]")
+@click.option("--size-far", callback=_parse_size, metavar="WIDTHxHEIGHT", help="Of the far images.  [default: --size]")
+@click.option("--size-near", callback=_parse_size, metavar="WIDTHxHEIGHT",
+              help="Of the near images.  [default: --size]")
 @click.option("--noise-far", type=float, help="Of the far images, grey levels.  [default: --noise]")
 @click.option("--noise-near", type=float, help="Of the near images, grey levels.  [default: --noise]")
 @click.option("--fine-share", type=float, default=0.4,
               help="Of the fine speckles in the near images' contrast, 0 to 1.")
-@add_image_options("1392x1040", _FILES)
+@_add_image_options("1392x1040", _FILES)
 def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pair, alpha: Pair, rotation: float,
              center: Pair | None, radius: float | None, strain: float, poisson_ratio: float, translation: Pair,
              size_far: Size | None, size_near: Size | None, noise_far: float | None, noise_near: float | None,
-             fine_share: float, **image: Unpack[ImageOptions]) -> None:
+             fine_share: float, **image: Unpack[_ImageOptions]) -> None:
     """Pull a plate with a circular hole along y before two cameras of different magnification.
 
     The far images show coarse speckles of about 5 far px; the near ones the same and fine ones of about 5 near px.
@@ -199,7 +200,7 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
                  lambda files: near_far_scene.write_near_far(folder, scene, files))
 
 
-def _picture(image: ImageOptions, size: Size | None = None, noise: float | None = None) -> Picture:
+def _picture(image: _ImageOptions, size: Size | None = None, noise: float | None = None) -> Picture:
     """A camera's picture; one of two cameras may have a size and noise of its own."""
     from ddic.synth.render import Digitiser, Picture
 
@@ -209,7 +210,7 @@ def _picture(image: ImageOptions, size: Size | None = None, noise: float | None 
     return Picture(width, height, digitiser)
 
 
-_pair_options = add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
+_pair_options = _add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
 
 
 @click.group()
@@ -226,7 +227,7 @@ synth.add_command(near_far)
 @synth.command()
 @click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), help="u_x u_y, px.")
 @_pair_options
-def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
+def translation(vector: Pair, **image: Unpack[_ImageOptions]) -> None:
     """Move the whole image by one vector."""
     from ddic.synth.fields import Translation
 
@@ -240,7 +241,7 @@ def translation(vector: Pair, **image: Unpack[ImageOptions]) -> None:
 @click.option("--center", type=float, nargs=2, help="x y, px.  [default: the image's centre]")
 @_pair_options
 def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pair | None,
-           **image: Unpack[ImageOptions]) -> None:
+           **image: Unpack[_ImageOptions]) -> None:
     """Deform with a uniform gradient."""
     from ddic.synth.fields import Affine
 
@@ -257,7 +258,7 @@ def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pa
 @click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), help="Of u_y along x and along y, rad.")
 @_pair_options
 def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: Pair, phase_x: Pair,
-               phase_y: Pair, **image: Unpack[ImageOptions]) -> None:
+               phase_y: Pair, **image: Unpack[_ImageOptions]) -> None:
     """Deform with waves; the default values are the reference field of all accuracy figures."""
     from ddic.synth.fields import Sinusoidal
 
@@ -274,7 +275,7 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
               help="Show the hole as a dark disc, or leave speckles in it.")
 @_pair_options
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
-           translation: Pair, draw_hole: bool, **image: Unpack[ImageOptions]) -> None:
+           translation: Pair, draw_hole: bool, **image: Unpack[_ImageOptions]) -> None:
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
     from ddic.synth.fields import Hole, Kirsch
 
@@ -291,7 +292,7 @@ def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_rat
 @click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), help="Rigid displacement added, px.")
 @_pair_options
 def bending(curvature: float, center: Pair | None, poisson_ratio: float, translation: Pair,
-            **image: Unpack[ImageOptions]) -> None:
+            **image: Unpack[_ImageOptions]) -> None:
     """Bend a beam along x as between the inner rollers of a four-point test."""
     from ddic.synth.fields import Bending, Sum, Translation
 
@@ -299,7 +300,7 @@ def bending(curvature: float, center: Pair | None, poisson_ratio: float, transla
     _generate(Sum((beam, Translation(translation))), None, image)
 
 
-def _generate(field: DisplacementField, hole: Hole | None, image: ImageOptions) -> None:
+def _generate(field: DisplacementField, hole: Hole | None, image: _ImageOptions) -> None:
     """Write the two images and the truth."""
     from ddic.synth.render import Scene, write_pair
     from ddic.synth.speckle import SpeckleTexture

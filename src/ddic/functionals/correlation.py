@@ -42,14 +42,14 @@ PIXEL_KERNELS: dict[str, PixelKernels] = {"bilinear": kernels.COMPILED}
 """What sums over the pixels of cells, by the family of their types."""
 
 
-def convert_reference(f: GradientImage) -> ReferencePixels:
+def _convert_reference(f: GradientImage) -> ReferencePixels:
     """Convert a window of the reference image; its arrays are not copied."""
     by_x, by_y = map(_flatten, f.slopes)
     return ReferencePixels(_flatten(f.values), by_x, by_y, _count_row_length(f.values),
                            f.window.x0, f.window.y0, _or_nothing(f.usable))
 
 
-def convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:
+def _convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:
     """Convert a window of the deformed image, ``extent`` being the whole one; its arrays are not copied."""
     return DeformedPixels(_flatten(g.coefficients), _count_row_length(g.coefficients), g.degree,
                           g.window.x0, g.window.y0, _or_nothing(g.usable), *extent.sizes)
@@ -350,10 +350,7 @@ class Correlation:
         return self.interpolation.assemble_matrix(of_cells, cells)
 
     def compute_residual(self, deformed: DeformedSubImage, q: Array, *, all_kinds: bool = False) -> Residual:
-        """Sum the residual f - g(x + u), against grad f too, in one pass over the subdomain's pixels.
-
-        With ``all_kinds``, what a grey-level correction needs is summed too.
-        """
+        """Sum the residual f - g(x + u), against grad f too, in one pass; for grey-level corrections ``all_kinds``."""
         n_cells = self.mesh.n_cells
         displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
         n_kinds = 3 if all_kinds else 1
@@ -396,10 +393,7 @@ class Correlation:
     def compute_residual_image(self, deformed: DeformedSubImage, q: Array,
                                gain: Array | float = 1.0,
                                offset: Array | float = 0.0) -> NDArray[np.float32]:
-        """Compute the residual f - gain g(x + u) - offset of every pixel.
-
-        On the reference window, (height, width), grey levels; NaN on pixels that do not count.
-        """
+        """Compute f - gain g(x + u) - offset on the reference window, grey levels; NaN on pixels that do not count."""
         whole = RowBand(self.order, self.reference.window)
         return next(self.compute_residual_bands(deformed, q, [whole], gain, offset))
 
@@ -460,11 +454,11 @@ class Correlation:
         torn = self._find_torn_cells(q)
         order = self.order[~np.isin(self.order, torn)] if len(torn) else self.order
         g = deformed.get_spline(self.find_displaced_window(q))
-        return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), convert_deformed(g, self.extent))
+        return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), _convert_deformed(g, self.extent))
 
     def _draw_residual(self, displaced: _DisplacedPixels, window: Window, correction: Array) -> NDArray[np.float32]:
         """Residual on a window that holds all pixels of the cells to visit."""
-        reference = convert_reference(self.reference.restrict(window))
+        reference = _convert_reference(self.reference.restrict(window))
         image = np.full(window.shape, np.nan, dtype=np.float32)
 
         def write(place: slice) -> None:
@@ -505,7 +499,7 @@ class Correlation:
     @cached_property
     def _reference_pixels(self) -> kernels.ReferencePixels:
         """The reference image as kernels take it; kept, because on a small subdomain it would cost some per cent."""
-        return convert_reference(self.reference)
+        return _convert_reference(self.reference)
 
 
 VISITED_ROWS = 32

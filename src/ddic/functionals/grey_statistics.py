@@ -41,10 +41,7 @@ class GreySums:
         return np.asarray(self.values[..., 0])
 
     def fit_gain_and_offset(self) -> tuple[Array, Array]:
-        """Fit f = a g + b by least squares: a, no unit, and b, grey levels, (...,) each.
-
-        a = 1 where the deformed image is flat, (1, 0) without pixels.
-        """
+        """Fit f = a g + b by least squares, (...,) each: a = 1 where g is flat, (1, 0) without pixels."""
         n, r, g, _, gg, rg = np.moveaxis(self.values, -1, 0)
         n = np.maximum(n, 1.0)
         variance = gg / n - (g / n) ** 2

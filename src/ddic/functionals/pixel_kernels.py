@@ -13,7 +13,7 @@ no digit is lost to the position in the image. Images are float32, f also uint8 
 computed from them is float64: in float32, Gauss-Newton would not get below 5e-8 px.
 
 What belongs together is one argument, a named tuple: ``Cells``, ``Shapes``, ``ReferencePixels``, ``DeformedPixels``
-and ``CellSums`` are what comes from outside, ``Scratch``, ``Place``, ``Batch`` and ``Segment`` what the stages hand
+and ``CellSums`` are what comes from outside, ``_Scratch``, ``Place``, ``_Batch`` and ``_Segment`` what the stages hand
 to each other. Their fields cost nothing: the compiler sees single arrays and numbers.
 
 The stages share this file because numba's cache of a kernel does not notice changes in other files.
@@ -186,22 +186,13 @@ class CellSums(NamedTuple):
     grey: Array
 
 
-class Scratch(NamedTuple):
+class _Scratch(NamedTuple):
     """Buffers for the pixels of a batch; several quantities in each, PLANE numbers apart.
 
     One array for many, because the compiler then knows them apart, and because it has too few registers for the
-    addresses of many.
-
-    Attributes
-    ----------
-    lanes : (7 PLANE,) float64 array
-        Quantities by lane, at the places _XI to _G.
-    pixels : (6 PLANE,) float32 array
-        What is read or counted by lane, at _COLUMN to _BY_Y.
-    offsets : (3 PLANE,) int32 array
-        Integer parts of displacements by lane, at _WHOLE_X and _WHOLE_Y.
-    bounds : (8 PLANE,) int64 array
-        Segments, at _SEGMENT_X to _SEGMENT_LANE, and runs, at _RUN_AT to _RUN_END.
+    addresses of many: quantities by lane at the places _XI to _G, what is read or counted at _COLUMN to _BY_Y, integer
+    parts of displacements at _WHOLE_X and _WHOLE_Y, segments at _SEGMENT_X to _SEGMENT_LANE, and runs at _RUN_AT to
+    _RUN_END.
     """
 
     lanes: Array
@@ -227,19 +218,11 @@ class Place(NamedTuple):
     y: Any
 
 
-class Batch(NamedTuple):
-    """Pixels of one cell that are worked on together.
+class _Batch(NamedTuple):
+    """Pixels of one cell that are worked on together; _COLUMN and _ROW are counted from (x0, y0).
 
-    Attributes
-    ----------
-    cell : uint64
-        The cell.
-    x0, y0 : int64
-        The pixel that ``_COLUMN`` and ``_ROW`` are counted from.
-    n_segments : int64
-        Rows, or parts of rows.
-    n_lanes : uint64
-        Pixels, rounded up to a multiple of UNROLLED.
+    Segments are rows, or parts of rows; lanes are pixels, rounded up to a multiple of UNROLLED. Lanes and cell are
+    uint64, the others int64.
     """
 
     cell: Any
@@ -249,18 +232,8 @@ class Batch(NamedTuple):
     n_lanes: Any
 
 
-class Segment(NamedTuple):
-    """Neighbouring pixels of one row.
-
-    Attributes
-    ----------
-    x, y : int64
-        Column and row of the first one.
-    length : int64
-        Number of pixels.
-    lane : int64
-        The first one's lane in the batch; the others follow.
-    """
+class _Segment(NamedTuple):
+    """Neighbouring pixels of one row, int64: column and row of the first one, how many, and its lane in the batch."""
 
     x: Any
     y: Any
@@ -268,16 +241,11 @@ class Segment(NamedTuple):
     lane: Any
 
 
-class Demand(NamedTuple):
-    """Rows of pixels of a later cell that are still to be asked for.
+class _Demand(NamedTuple):
+    """Rows of pixels of a later cell that are still to be asked for: the run of the next row, and that after the last.
 
-    Attributes
-    ----------
-    run, last_run : uint64
-        The next row's run of pixels, and the one after the last row's.
-    in_reference, in_deformed : int64
-        Where the pixel of column 0 of that row would lie in the reference image's arrays, and the last tap's row of
-        its coefficients in the deformed image's.
+    These are uint64; the others, int64, are where the pixel of column 0 of that row would lie in the reference image's
+    arrays, and the last tap's row of its coefficients in the deformed image's.
     """
 
     run: Any
@@ -301,7 +269,7 @@ _WHOLE_X, _WHOLE_Y = (_U(k * PLANE) for k in range(2))
 """In ``offsets``: integer parts of the displacement."""
 
 _SEGMENT_X, _SEGMENT_Y, _SEGMENT_LENGTH, _SEGMENT_LANE = (_U(k * PLANE) for k in range(4))
-"""In ``bounds``: fields of ``Segment``; one more first lane, after the last segment, ends the last one."""
+"""In ``bounds``: fields of ``_Segment``; one more first lane, after the last segment, ends the last one."""
 
 _RUN_AT, _RUN_BEGIN, _RUN_END = (_U(k * PLANE) for k in range(4, 7))
 """In ``bounds``, runs of lanes with one integer offset: first coefficient, first lane and the lane after the last."""
@@ -318,8 +286,8 @@ def _segment(scratch, s):
     """Segment s of the batch."""
     s = _U(s)
     bounds = scratch.bounds
-    return Segment(bounds[s + _SEGMENT_X], bounds[s + _SEGMENT_Y], bounds[s + _SEGMENT_LENGTH],
-                   bounds[s + _SEGMENT_LANE])
+    return _Segment(bounds[s + _SEGMENT_X], bounds[s + _SEGMENT_Y], bounds[s + _SEGMENT_LENGTH],
+                    bounds[s + _SEGMENT_LANE])
 
 
 @numba.njit(**INLINED)
@@ -381,7 +349,7 @@ def _take_batch(cells, reference, e, place, scratch):
         for k in range(n_lanes - end):
             pixels[k + end + _COLUMN] = column
             pixels[k + end + _ROW] = row
-    return Batch(e, x0, y0, np.int64(n), n_lanes), Place(run, place.last_run, x, y)
+    return _Batch(e, x0, y0, np.int64(n), n_lanes), Place(run, place.last_run, x, y)
 
 
 @numba.njit(**INLINED)
@@ -617,15 +585,15 @@ def _weigh_deformed(deformed, batch, scratch):
 def _demand(cells, displacement, reference, deformed, visit):
     """Rows of the cell that is visited AHEAD of another one, none where there is none."""
     if visit + AHEAD >= len(cells.order):
-        return Demand(_0, _0, np.int64(0), np.int64(0))
+        return _Demand(_0, _0, np.int64(0), np.int64(0))
     e = _U(cells.order[visit + AHEAD])
     # The cell's centre stands for its pixels, and the rows above the last tap's were asked for by the cell above it.
     right = np.int64(np.floor(displacement[e, 0, 0])) + 1
     down = np.int64(np.floor(displacement[e, 1, 0])) + deformed.degree + 1
     y = cells.first_row[e]
-    return Demand(_U(cells.row_ptr[e]), _U(cells.row_ptr[e + _1]),
-                  (y - reference.y0) * reference.row_length - reference.x0,
-                  (y + down - deformed.y0) * deformed.row_length + right - deformed.x0)
+    return _Demand(_U(cells.row_ptr[e]), _U(cells.row_ptr[e + _1]),
+                   (y - reference.y0) * reference.row_length - reference.x0,
+                   (y + down - deformed.y0) * deformed.row_length + right - deformed.x0)
 
 
 @numba.njit(**INLINED)
@@ -644,7 +612,7 @@ def _fetch_row(cells, reference, deformed, demand):
         prefetch(reference.by_y, in_reference + x)
         prefetch(deformed.coefficients, in_deformed + x)
         x += LINE
-    return Demand(run + _1, last_run, in_reference + reference.row_length, in_deformed + deformed.row_length)
+    return _Demand(run + _1, last_run, in_reference + reference.row_length, in_deformed + deformed.row_length)
 
 
 @numba.njit(**INLINED)
@@ -748,8 +716,8 @@ def _aligned(array):
 @numba.njit(**FLAGS)
 def _new_scratch():
     """Buffers of a batch: zeros, since a lane that is no pixel must be a number for its product with 0 to be 0."""
-    return Scratch(_aligned(np.zeros(7 * PLANE)), _aligned(np.zeros(6 * PLANE, np.float32)),
-                   _aligned(np.zeros(3 * PLANE, np.int32)), _aligned(np.zeros(8 * PLANE, np.int64)))
+    return _Scratch(_aligned(np.zeros(7 * PLANE)), _aligned(np.zeros(6 * PLANE, np.float32)),
+                    _aligned(np.zeros(3 * PLANE, np.int32)), _aligned(np.zeros(8 * PLANE, np.int64)))
 
 
 @numba.njit(**INLINED)

@@ -63,12 +63,12 @@ def measure_texture(correlation: Correlation, hessian: sparse.csr_matrix, degree
     """
     modes = np.linalg.qr(rigid_modes(correlation.mesh.nodes))[0]
     energies = np.linalg.eigvalsh(modes.T @ (hessian @ modes))
-    slope_variance = NOISE_GAIN[degree] * estimate_noise_variance(correlation)
+    slope_variance = NOISE_GAIN[degree] * _estimate_noise_variance(correlation)
     noise = slope_variance * correlation.n_usable_pixels / correlation.mesh.n_nodes
     return Texture(float(energies[0]), noise)
 
 
-def estimate_noise_variance(correlation: Correlation) -> float:
+def _estimate_noise_variance(correlation: Correlation) -> float:
     """Estimate the variance of white noise as strong as the image's finest detail on the subdomain.
 
     J. Immerkaer's operator, Computer Vision and Image Understanding 64 (1996) 300-302, which texture can only raise, on

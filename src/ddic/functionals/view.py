@@ -47,7 +47,7 @@ class CellSlopes:
         return np.asarray(np.trace(self.mean, axis1=1, axis2=2))
 
 
-def measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: IntArray) -> CellSlopes:
+def _measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: IntArray) -> CellSlopes:
     """Measure the mean of grad f grad f^T over the pixels of each cell that count, ``n_pixels`` of them, (n_cells,)."""
     # A kernel takes one type: an image without pixels stands for one that excludes none.
     usable = np.ones((0, 0), np.uint8) if reference.usable is None else reference.usable
@@ -118,7 +118,7 @@ class View:
 
     def measure_slopes(self) -> CellSlopes:
         """Measure the mean of grad f grad f^T over the pixels of each cell that count."""
-        return measure_cell_slopes(self.correlation.raster, self.correlation.reference, self.count_pixels())
+        return _measure_cell_slopes(self.correlation.raster, self.correlation.reference, self.count_pixels())
 
     def measure_grey_range(self) -> tuple[float, float]:
         """Measure the range of the reference image's grey levels on the window that holds the view."""
@@ -178,10 +178,7 @@ class FrameView(View):
         return self.correlation.find_displaced_window(self.kinematics.displacement(q))
 
     def compute_residual(self, q: Array, *, all_kinds: bool = False) -> Residual:
-        """Pass over all pixels once, for moments and sums of f - g(x + u).
-
-        With ``all_kinds``, what a correction of grey levels needs is summed too.
-        """
+        """Pass over all pixels once for moments and sums of f - g(x + u), ``all_kinds`` for grey-level corrections."""
         return self.correlation.compute_residual(self.deformed, self.kinematics.displacement(q), all_kinds=all_kinds)
 
     def assemble_right_hand_side(self, residual: Residual, gain: Correction = 1.0, offset: Correction = 0.0) -> Array:
@@ -195,10 +192,7 @@ class FrameView(View):
         return projected if self.weight == 1.0 else self.weight * projected
 
     def compute_residual_image(self, q: Array, gain: Correction = 1.0, offset: Correction = 0.0) -> NDArray[np.float32]:
-        """Compute the residual f - gain g(x + u) - offset pixel by pixel.
-
-        On the reference window, (height, width), grey levels; nan on pixels that do not count.
-        """
+        """Compute f - gain g(x + u) - offset on the reference window, grey levels; nan on pixels that do not count."""
         return self.correlation.compute_residual_image(self.deformed, self.kinematics.displacement(q), gain, offset)
 
     def compute_residual_bands(self, q: Array, bands: Iterable[RowBand], gain: Correction = 1.0,

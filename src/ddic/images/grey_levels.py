@@ -215,10 +215,7 @@ class _HighestLevel:
 
 
 def list_spread_bands(window: Window) -> Iterator[Window]:
-    """List bands of a window, all of them or as many, evenly spread, as hold MOST_LOOKED_AT pixels.
-
-    They are whole rows of it, from top to bottom.
-    """
+    """List bands of whole rows of a window, top to bottom: all, or evenly spread ones of MOST_LOOKED_AT pixels."""
     n_rows = max(1, BAND_PIXELS // window.width)
     step = n_rows * max(1, -(-window.n_pixels // MOST_LOOKED_AT))
     return window.split_rows(n_rows, step)

@@ -60,10 +60,7 @@ def write_row_slopes(block: Array, first: int, degree: int, out: NDArray[np.floa
 
 
 def write_column_slopes(coefficients: Array, first: int, degree: int, out: NDArray[np.float32]) -> None:
-    """Write the spline's slopes along y at pixel centres, from row ``first`` on, grey levels per pixel.
-
-    The coefficients are prefiltered along columns only.
-    """
+    """Write slopes along y at pixels from row ``first`` on, grey levels per px, of splines along columns only."""
     _column_slopes(coefficients, first, SLOPE_TAPS[degree], out)
 
 

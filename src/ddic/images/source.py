@@ -20,7 +20,6 @@ class SizedImage(Protocol):
     @property
     def extent(self) -> Window:
         """The box of all its pixels."""
-        ...
 
     @property
     def width(self) -> int:
@@ -42,12 +41,10 @@ class ImageSource(SizedImage, Protocol):
     @property
     def path(self) -> Path:
         """Where the image comes from."""
-        ...
 
     @property
     def saturation(self) -> float | None:
         """Largest grey level of an integer image, None for a float image."""
-        ...
 
     def read(self, window: Window) -> NDArray[Any]:
         """Read a window.
@@ -62,7 +59,6 @@ class ImageSource(SizedImage, Protocol):
         (window.height, window.width) array
             Grey levels in their own type.
         """
-        ...
 
 
 def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDArray[Any]:

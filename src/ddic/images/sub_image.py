@@ -97,10 +97,7 @@ class DeformedSubImage:
     _spline: SplineImage | None = field(default=None, repr=False)
 
     def hold(self, window: Window) -> None:
-        """Hold the window that all who share the sub-image want, clipped to the image, and hardly more.
-
-        It is read where the window held is outgrown, or much too large.
-        """
+        """Hold the window that all who share it want, clipped: read where it outgrows what is held, or far less is."""
         needed = window.intersection(self.source.extent)
         wanted = _sizeable(window.grow(GROWTH), self.source.extent)
         held = None if self._spline is None else self._spline.window

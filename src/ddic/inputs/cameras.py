@@ -94,7 +94,7 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
     for number, section in enumerate(case.near, start=1):
         reference = _open_reference(section, opener)
         try:
-            setup = make_setup(_mapping(section, far.image, reference.image), reference, section.motion)
+            setup = _make_setup(_mapping(section, far.image, reference.image), reference, section.motion)
         except ValueError as error:
             raise InputError(f"near, entry {number}: {error}; check its mapping (ddic calibrate)") from error
         cameras.append(Camera(number, reference, setup, section.noise, section.region, section.margin,
@@ -104,7 +104,7 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
 
 def make_first_camera(reference: MaskedSource, noise: float | None) -> Camera:
     """Make the camera whose pixels are the specimen's frame; ``noise`` is that of a picture, grey levels."""
-    return Camera(0, reference, make_setup(identity(), reference, "none"), noise)
+    return Camera(0, reference, _make_setup(identity(), reference, "none"), noise)
 
 
 def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
@@ -129,7 +129,7 @@ def exclude_masked(image: ImageSource, section: ImagesSection | NearSection, mas
     return MaskedSource(image, None if mask is None else opener(mask), saturated_from)
 
 
-def make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:
+def _make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:
     """Describe a camera's set-up by its mapping and the size of its image: it turns about the middle of what it sees.
 
     ``mapping`` leads from the specimen's frame to the camera's pixels, ``motion`` is how the set-up may move.

@@ -221,10 +221,7 @@ class UpdatedReference:
         return replace(subdomain, mesh=replace(subdomain.mesh, nodes=self.nodes[subdomain.node_ids]))
 
     def restrict(self, subdomains: Sequence[Subdomain]) -> list[Array]:
-        """Give subdomains the displacement of their nodes to the frame, (n_dofs,) node by node, pixels.
-
-        Their unknowns have to be displacements of nodes.
-        """
+        """Give subdomains, whose unknowns are displacements of nodes, those to the frame, (n_dofs,), pixels."""
         return [self.displacement[subdomain.node_ids].ravel() for subdomain in subdomains]
 
 
@@ -258,10 +255,7 @@ class StartPoints:
 
 
 def load_start_points(section: StartSection) -> StartPoints | None:
-    """Load the points that a case starts from; None where it gives none.
-
-    Raises InputError where a table of points is missing or holds something else.
-    """
+    """Load the points that a case starts from, None where it gives none; InputError where their table is wrong."""
     if section.from_points is not None:
         values, rows = read_point_table(section.from_points)
         return StartPoints(values[:, :2], values[:, 2:], str(section.from_points), rows)
@@ -272,10 +266,7 @@ def load_start_points(section: StartSection) -> StartPoints | None:
 
 
 def check_start_points(given: StartPoints, width: int, height: int) -> None:
-    """Check that points lie in the reference image, and are moved by no more than its diagonal.
-
-    Raises InputError with the first point that does not.
-    """
+    """Raise InputError for the first point outside the reference image, or moved by more than its diagonal."""
     is_finite = np.isfinite(given.points).all(axis=1) & np.isfinite(given.displacement).all(axis=1)
     if not is_finite.all():
         number = int(np.flatnonzero(~is_finite)[0])

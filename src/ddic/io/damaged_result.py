@@ -93,10 +93,7 @@ def _require_sound_ids(point_data: Arrays, cell_data: Arrays) -> None:
 
 
 def require_sound_values(mesh: Mesh, displacement: Array) -> None:
-    """Refuse places and displacements that no measurement has, by a ValueError.
-
-    ``displacement`` is (n_nodes, 2), pixels, nan where it was not measured.
-    """
+    """Refuse, by a ValueError, places and displacements, (n_nodes, 2), pixels or nan, that no measurement has."""
     if not (np.abs(mesh.nodes) <= LARGEST_PX).all():
         raise ValueError("Points: nodes lie in no image")
     if (np.abs(displacement) > LARGEST_PX).any():
@@ -179,10 +176,7 @@ def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Se
 
 
 def require_sound_products(data: Arrays) -> None:
-    """Refuse functions of x and y that make no displacement, by a ValueError.
-
-    ``data`` holds nodes, functions and amplitudes of PGD-DIC.
-    """
+    """Refuse, by a ValueError, PGD-DIC's nodes, functions and amplitudes where they make no displacement."""
     for name, values in data.items():
         if values.dtype.kind != "f" or not (np.abs(values) <= LARGEST_PX).all():
             raise ValueError(f"{schema.SEPARATED}/{name}: numbers no larger than an image expected")
@@ -199,10 +193,7 @@ def require_sound_products(data: Arrays) -> None:
 
 
 def require_sound_attributes(attributes: Mapping[str, Mapping[str, Any]]) -> None:
-    """Refuse attributes that others read as numbers or as a case and that are none.
-
-    ``attributes`` are those of groups, by name. Raises ValueError, TypeError or KeyError.
-    """
+    """Refuse attributes, by group, that others read as numbers or a case: ValueError, TypeError or KeyError."""
     for group, values in attributes.items():
         if group.startswith(schema.NEAR_PREFIX):
             if "alpha_px" in values and np.asarray(values["alpha_px"], np.float64).shape != (2,):

@@ -101,10 +101,7 @@ def _without_equal_colours(pixels: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_header(path: Path) -> None:
-    """Check the size that an image claims against the size of its file.
-
-    Raises InputError where the header is damaged, or claims more pixels than the file can hold.
-    """
+    """Raise InputError where a header is damaged, or claims more pixels than the file can hold."""
     magic = _find_magic(path)
     if magic is None:
         return

@@ -13,10 +13,7 @@ from ddic.errors import InputError
 
 
 def as_path(name: object, what: str) -> Path:
-    """Take the name of a file that Python code gives, a str or a Path; raises InputError for anything else.
-
-    ``what`` says what it should name, for the message.
-    """
+    """Take the name of a file that Python code gives, a str or a Path; raises InputError for anything else."""
     if not isinstance(name, str | Path):
         raise InputError(f"{what}: {type(name).__name__} given, the name of a file expected")
     return Path(name)

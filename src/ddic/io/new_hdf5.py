@@ -221,10 +221,8 @@ class NewHdf5:
         self._stream = stream
 
     def create_rows(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> tuple[h5py.Dataset, Rows]:
-        """Create a dataset in one piece, of which the library is not told the values.
-
-        In one piece a small mesh takes half the file, and half the time, of one in chunks.
-        """
+        """Create a dataset whose values the library is not told."""
+        # In one piece a small mesh takes half the file, and half the time, of one in chunks.
         kept = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         kept.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
         kept.set_fill_time(h5py.h5d.FILL_TIME_NEVER)

@@ -107,10 +107,7 @@ def begin_files(files: NewFiles | None) -> AbstractContextManager[NewFiles]:
 
 @contextmanager
 def replaced_on_exit(path: Path) -> Iterator[Path]:
-    """Yield a temporary name that is renamed to ``path`` on a clean exit and removed on any other.
-
-    Raises InputError if the folder does not exist or cannot be written to.
-    """
+    """Yield a temporary name that is renamed to ``path`` on a clean exit; raises InputError as ``NewFiles.begin``."""
     with replaced_together() as files:
         yield files.begin(path)
 
@@ -131,10 +128,7 @@ def remove_unfinished() -> None:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove what processes that were killed have left unfinished in a folder, which need not be there.
-
-    A file belongs to a living process while that holds its lock.
-    """
+    """Remove what killed processes have left unfinished in a folder, if there: a living one holds its file's lock."""
     if not folder.is_dir():
         return
     for path in folder.glob(".*.tmp"):
@@ -195,10 +189,7 @@ def _name_machine() -> str:
 
 @contextmanager
 def made_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and those above it; where the block fails, remove those that were made and are empty.
-
-    The folder may be there. Raises OSError where it cannot be made.
-    """
+    """Make a folder and those above it, if they are not there; where the block fails, remove the new ones if empty."""
     made = [one for one in (folder, *folder.parents) if not one.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)

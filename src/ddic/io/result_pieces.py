@@ -104,10 +104,7 @@ class PieceLayout:
     flip_y: bool
 
     def place(self, before: PieceCounts, counts: Sequence[PieceCounts], pieces: Piece) -> list[Block]:
-        """Place joined pieces in the file, ``counts`` of each, behind what comes ``before``.
-
-        Raises ValueError where arrays are not those announced.
-        """
+        """Place joined pieces, ``counts`` of each, behind what comes ``before``; raises ValueError for other counts."""
         return [block for block in self._place(before, counts, pieces) if len(block.data)]
 
     def _place(self, before: PieceCounts, counts: Sequence[PieceCounts], pieces: Piece) -> Iterator[Block]:
@@ -148,10 +145,7 @@ class PieceLayout:
 
 def create_mesh(new: NewHdf5, total: PieceCounts, point_fields: Sequence[FieldSpec], cell_fields: Sequence[FieldSpec],
                 *, flip_y: bool) -> PieceLayout:
-    """Make room in a file for a mesh in pieces, and for the fields that every piece brings.
-
-    ``total`` is what all pieces have together.
-    """
+    """Make room in a file for a mesh in pieces, ``total`` of all, and for the fields that every piece brings."""
     group = schema.create_vtk_group(new.file, "UnstructuredGrid").name.strip("/")
     rows: dict[str, Rows] = {}
     for name in schema.PIECES:

@@ -276,7 +276,7 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
     require_file(path, "result file")
     try:
         with open_hdf5(path) as file:
-            check_schema(path, file)
+            _check_schema(path, file)
             yield path, file
     except READ_ERRORS as error:
         raise InputError(f"{path}: not a readable ddic result file ({describe_damage(error)}); run ddic again"
@@ -363,11 +363,8 @@ def require_known_displacement(result: Result) -> None:
                          "run ddic again")
 
 
-def check_schema(path: Path, file: Any) -> None:
-    """Refuse what is no result, or one that this program would misread, by an InputError with what it is instead.
-
-    ``path`` names the file in messages.
-    """
+def _check_schema(path: Path, file: Any) -> None:
+    """Refuse what is no result, or one that this program would misread, by an InputError with what it is instead."""
     # In messages it takes one line, whatever it is.
     version = " ".join(str(file.attrs.get("ddic_schema", "")).split())
     if not version or schema.VTKHDF not in file:

@@ -158,10 +158,7 @@ def nodal_strain_fields() -> tuple[FieldSpec, ...]:
 
 
 def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
-    """List the fields on the cells, in the order of the file.
-
-    With several cameras, each cell has the number of its camera.
-    """
+    """List the fields on the cells, in the order of the file; with several cameras, that of each cell too."""
     fields = (
         FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain at the cell's centre"),
         FieldSpec(STRAIN_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1",

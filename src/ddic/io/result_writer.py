@@ -90,7 +90,7 @@ class ResultWriter:
             # One of an earlier run would point to an image that is no longer there.
             files.remove_old(schema.sidecar_path(path))
         for camera, grid in enumerate(self._grids):
-            write_sidecar(path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y, files=files)
+            _write_sidecar(path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y, files=files)
         if schema.UNITS in self._file and schema.DISPLACEMENT_PHYSICAL in self._file.get(schema.POINT_DATA, ()):
             write_physical_sidecar(path, self._file, files)
         else:
@@ -145,10 +145,7 @@ class ResultWriter:
         self._new.write(block)
 
     def write_table(self, group: str, columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> None:
-        """Write a table, one dataset per column of numbers or texts.
-
-        Raises ValueError if columns have different lengths.
-        """
+        """Write a table, a dataset per column of numbers or texts; raises ValueError if their lengths differ."""
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         if len({len(array) for array in arrays.values()}) > 1:
             raise ValueError(f"{group}: columns of different lengths")
@@ -235,7 +232,7 @@ def _link(result: Path, name: str) -> h5py.ExternalLink:
     return h5py.ExternalLink(result.name, name)
 
 
-def write_sidecar(result: Path, camera: int, *, width: int, height: int, flip_y: bool, files: NewFiles) -> None:
+def _write_sidecar(result: Path, camera: int, *, width: int, height: int, flip_y: bool, files: NewFiles) -> None:
     """Write the ImageData file that shows a residual image of a result, named by ``sidecar_path``.
 
     It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together. ``camera``
@@ -299,7 +296,7 @@ def _write_moved_sidecar(sidecar: Path, target: Path, camera: int) -> None:
         _, last_column, _, last_row, _, _ = file[schema.VTKHDF].attrs["WholeExtent"]
         flip_y = schema.is_flipped(file)
     with replaced_together() as files:
-        write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=flip_y, files=files)
+        _write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=flip_y, files=files)
 
 
 def _has_length_unit(result: Path) -> bool:

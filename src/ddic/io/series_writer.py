@@ -166,10 +166,7 @@ class BackgroundWriter(ThreadPoolExecutor):
             self.wait()
 
     def write(self, path: Path, content: bytes) -> None:
-        """Begin to write a file, once the last one is written; it takes its name when it is complete.
-
-        Raises OSError or InputError where the last one could not be written.
-        """
+        """Begin to write a file once the last one is written; raises OSError or InputError where that could not be."""
         self.wait()
         self._pending = self.submit(_write, path, content)
 

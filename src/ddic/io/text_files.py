@@ -108,10 +108,7 @@ def write_json(path: Path, content: Mapping[str, Any], files: NewFiles | None = 
 
 
 def convert_to_json(value: Any) -> Any:
-    """Make a value of what JSON knows, of mappings, sequences, arrays, numbers and texts.
-
-    Numbers that are not finite become None.
-    """
+    """Make mappings, sequences, arrays, numbers and texts what JSON knows; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): convert_to_json(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):

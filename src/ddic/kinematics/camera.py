@@ -25,11 +25,8 @@ LONGEST = 8.0
 whatever the partition."""
 
 
-def see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts:
-    """Map parts of cut cells from the specimen's frame into a camera's pixels; edges stay straight.
-
-    ``mesh`` are the cells that the camera measures, specimen's frame.
-    """
+def _see_parts(parts: CellParts, mesh: Mesh, mapping: CameraMapping) -> CellParts:
+    """Parts of cut cells of ``mesh``, specimen's frame, in a camera's pixels; edges stay straight."""
     polylines = [piece for line in parts.lines.polylines for piece in _see_line(line, mesh, mapping)]
     # What a bend cuts off lies in one cell.
     near = [bend for bend in parts.lines.bends if _is_near(bend, mesh).all()]
@@ -214,7 +211,9 @@ def place_before_camera(field: Kinematics, setup: CameraSetup,
     """
     nodes = field.mesh.nodes
     numbers = np.zeros(0, np.int64) if motion_numbers is None else motion_numbers
-    derivative = _block_diagonal(setup.mapping.jacobian(nodes))
+    n = len(nodes)
+    # One block a node.
+    derivative = sparse.bsr_matrix((setup.mapping.jacobian(nodes), np.arange(n), np.arange(n + 1)), (2 * n, 2 * n))
     own_motion = sparse.csr_matrix(derivative @ setup.motion_columns(nodes))
     others_motion = sparse.csr_matrix((derivative.shape[0], len(numbers) - setup.n_motion_unknowns))
     tangent = sparse.hstack([derivative @ field.tangent, own_motion, others_motion]).tocsr()
@@ -224,11 +223,5 @@ def place_before_camera(field: Kinematics, setup: CameraSetup,
 
 def see_mesh(mesh: Mesh, setup: CameraSetup) -> Mesh:
     """Map a mesh from the specimen's frame into the camera's pixels, edges straight, which distortion bends little."""
-    parts = None if mesh.parts is None else see_parts(mesh.parts, mesh, setup.mapping)
+    parts = None if mesh.parts is None else _see_parts(mesh.parts, mesh, setup.mapping)
     return Mesh(setup.mapping.to_image(mesh.nodes), mesh.connectivity, mesh.offsets, mesh.types, parts=parts)
-
-
-def _block_diagonal(blocks: Array) -> sparse.bsr_matrix:
-    """One block (dim, dim) a node, (dim n, dim n)."""
-    n, dim, _ = blocks.shape
-    return sparse.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(dim * n, dim * n))

@@ -37,11 +37,6 @@ class Discontinuities:
     lines: tuple[Array, ...] = ()
     openings: tuple[Opening, ...] = ()
 
-    @property
-    def n_lines(self) -> int:
-        """Number of lines."""
-        return len(self.lines)
-
     def with_line(self, number: int, line: Array) -> Discontinuities:
         """Give the same lines but for one, which lies elsewhere: (n_vertices, 2), pixels."""
         return Discontinuities((*self.lines[:number], line, *self.lines[number + 1:]), self.openings)
@@ -176,10 +171,7 @@ def _directions_of(opening: Opening, tangent: Array) -> Array:
 
 def _follow_neighbours(cut: CutMesh, leader: IntArray, is_free: BoolArray,
                        matrix: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Rows by which bound nodes, which are not free, open as their neighbours do: of free ones first, then of theirs.
-
-    One that no neighbour reaches stays closed.
-    """
+    """Rows by which bound nodes open as their neighbours do, free ones first; one that none reaches stays closed."""
     is_known = is_free.copy()
     while pairs := _find_pairs_across(cut, leader, is_known):
         matrix = matrix + _average_openings(cut, pairs) @ matrix
@@ -218,10 +210,7 @@ def _interpolate_along(places: Array) -> Array:
 
 
 def _find_pairs_across(cut: CutMesh, leader: IntArray, is_known: BoolArray) -> dict[int, list[tuple[int, int]]]:
-    """Known neighbours of unknown nodes on their own side, and their twins on the side of the one that leads it.
-
-    Of those unknown nodes that have any.
-    """
+    """Known neighbours of unknown nodes, on their own side, and their twins on the side of the one that leads these."""
     if is_known.all():
         return {}
     found: dict[int, list[tuple[int, int]]] = {}

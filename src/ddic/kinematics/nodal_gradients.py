@@ -24,7 +24,7 @@ N_OF_CELLS, N_OF_TRIANGLES = 18, 11
 """Columns of what is summed over cells, and over the triangles at their corners."""
 
 
-def sum_around_nodes(mesh: Mesh, u: Array) -> Array:
+def _sum_around_nodes(mesh: Mesh, u: Array) -> Array:
     """Sum over the cells around each node, (n_nodes, N_OF_CELLS + N_OF_TRIANGLES).
 
     They add up over meshes. Cells are plane, their corners their nodes; ``u``, (n_dofs,), is nan where no cell uses it.
@@ -109,7 +109,7 @@ def recover_gradients(meshes: Sequence[Mesh], displacements: Sequence[Array], su
     was not measured are as good as not there; nan at nodes of such cells alone.
     """
     meshes = [_without_unmeasured_cells(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)]
-    around = sum_shared([sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
+    around = sum_shared([_sum_around_nodes(mesh, u) for mesh, u in zip(meshes, displacements, strict=True)])
     slopes = own_slopes = [_fit_slopes(of_mesh[:, :N_OF_CELLS]) for of_mesh in around]
     for _ in range(N_PASSES):
         carried = sum_shared([_carry_slopes(mesh, known) for mesh, known in zip(meshes, slopes, strict=True)])
@@ -169,10 +169,7 @@ def _fit_slopes(sums: Array) -> _Slopes:
 
 
 def _average_triangles(sums: Array, slope: Array) -> Array:
-    """Mean gradient of the triangles at each node without what the displacement's curvature adds to it, (n, 2, 2).
-
-    ``sums`` are as _add_triangles orders them.
-    """
+    """Mean gradient, (n, 2, 2), of the triangles at nodes, without what curvature adds, from _add_triangles' sums."""
     means = sums / np.where(sums[:, 0] > 0, sums[:, 0], np.nan)[:, None]
     mean_gradient, mean_curving = means[:, 1:5].reshape(-1, 2, 2), means[:, 5:].reshape(-1, 2, 3)
     # u_c curves by the symmetric part: measured slopes need not be derivatives of one field.

@@ -14,7 +14,7 @@ from ddic.mesh.quality import list_corner_edges
 
 @dataclass(frozen=True)
 class Strain:
-    """Symmetric tensors of every cell, no unit, by the components of ``list_components``.
+    """Symmetric tensors of every cell, no unit, by the components of ``_list_components``.
 
     Attributes
     ----------
@@ -70,21 +70,21 @@ def compute_displacement_gradients(mesh: Mesh, q: Array) -> Array:
     return gradient
 
 
-def list_components(dim: int) -> list[tuple[int, int]]:
+def _list_components(dim: int) -> list[tuple[int, int]]:
     """List the components (i, j) of a symmetric tensor: xx, yy, xy in the plane, xx, yy, zz, xy, xz, yz in space."""
     return [*((i, i) for i in range(dim)), *combinations(range(dim), 2)]
 
 
 def _pick_components(tensors: Array) -> Array:
     """The components of symmetric tensors, from (n, dim, dim) to (n, n_components)."""
-    return np.stack([tensors[:, i, j] for i, j in list_components(tensors.shape[-1])], axis=1)
+    return np.stack([tensors[:, i, j] for i, j in _list_components(tensors.shape[-1])], axis=1)
 
 
 def _build_tensors(components: Array) -> Array:
     """Symmetric tensors with these components, from (n, n_components) to (n, dim, dim)."""
     dim = {n * (n + 1) // 2: n for n in (1, 2, 3)}[components.shape[1]]
     tensors = np.empty((len(components), dim, dim))
-    for values, (i, j) in zip(components.T, list_components(dim), strict=True):
+    for values, (i, j) in zip(components.T, _list_components(dim), strict=True):
         tensors[:, i, j] = tensors[:, j, i] = values
     return tensors
 
@@ -95,10 +95,7 @@ def compute_infinitesimal(gradients: Array) -> Array:
 
 
 def compute_green_lagrange(gradients: Array) -> Array:
-    """Compute (grad u + grad u^T + grad u^T grad u) / 2, which no rotation changes.
-
-    From du_c / dx_j, (n, dim, dim): its components, (n, n_components).
-    """
+    """Compute (grad u + grad u^T + grad u^T grad u) / 2, (n, n_components), of du_c / dx_j, (n, dim, dim)."""
     return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)
                                    + gradients.transpose(0, 2, 1) @ gradients))
 
@@ -162,9 +159,6 @@ def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
 
 
 def count_folded_cells(mesh: Mesh, moved: Array) -> int:
-    """Count the cells with a corner that is flat or inside out.
-
-    ``moved`` says where the nodes are, (n_nodes, 2); the mesh's cells are plane and run positively.
-    """
+    """Count the plane cells with a corner that is flat or inside out where nodes are ``moved``, (n_nodes, 2)."""
     folded = multiply_across(*list_corner_edges(mesh, moved)) <= 0
     return int(np.logical_or.reduceat(folded, mesh.offsets[:-1]).sum())

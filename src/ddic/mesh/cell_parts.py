@@ -76,10 +76,7 @@ class CellParts:
         return len(self.cells)
 
     def restrict(self, cells: IntArray) -> CellParts:
-        """Keep the parts among some cells, which are numbered anew, in this order.
-
-        All lines stay, for they matter to whole cells beside them too.
-        """
+        """Keep the parts among some cells, numbered anew in this order; all lines stay, for cells beside them."""
         found = np.searchsorted(self.cells, cells)
         is_part = found < len(self.cells)
         is_part[is_part] = self.cells[found[is_part]] == cells[is_part]

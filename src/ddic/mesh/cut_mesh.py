@@ -27,24 +27,18 @@ SHORTEST_CHORD = 1e-9
 """Length, pixels, below which a chord in a polygon cuts nothing off."""
 
 @dataclass(frozen=True, eq=False)
-class CellPolygon:
-    """A convex polygon that is a cell, or a part of one.
+class _CellPolygon:
+    """A convex polygon that is a cell, or a part of one; its corners, (n, 2), are in positive order, pixels.
 
-    Attributes
-    ----------
-    corners : (n, 2) array
-        In positive order, pixels.
-    nodes : tuple of int
-        Place in the cell of the node at each corner, INNER where there is none.
-    sides : tuple of int
-        Side of the cell on which the edge from each corner to the next lies, INNER where it is along a chord.
+    ``nodes`` are places in the cell of the nodes at the corners, ``sides`` those sides of the cell on which the edge
+    from each corner to the next lies; INNER where there is no node, or the edge lies along a chord.
     """
 
     corners: Array
     nodes: tuple[int, ...]
     sides: tuple[int, ...]
 
-    def cut(self, chord: Array) -> tuple[CellPolygon, ...]:
+    def cut(self, chord: Array) -> tuple[_CellPolygon, ...]:
         """Cut the polygon straight from end to end of a chord of its cell, whatever its bends.
 
         Gives the part to the right and the part to the left of the chord; the polygon itself where the chord misses it.
@@ -59,7 +53,7 @@ class CellPolygon:
             return (self,)
         return self._keep(-heights), self._keep(heights)
 
-    def _keep(self, heights: Array) -> CellPolygon:
+    def _keep(self, heights: Array) -> _CellPolygon:
         """The part where heights, of the corners above a line, are positive."""
         corners, nodes, sides = [], [], []
         for k, here in enumerate(heights):
@@ -77,10 +71,10 @@ class CellPolygon:
                 nodes.append(INNER)
                 # Where the outline leaves the part, its next edge runs along the chord.
                 sides.append(INNER if here > 0 else self.sides[k])
-        return CellPolygon(np.array(corners), tuple(nodes), tuple(sides))
+        return _CellPolygon(np.array(corners), tuple(nodes), tuple(sides))
 
 
-def find_chords(corners: Array, line: Array) -> list[Array]:
+def _find_chords(corners: Array, line: Array) -> list[Array]:
     """Find where a polyline crosses a convex cell from side to side; an end inside the cell cuts nothing.
 
     Gives the pieces of the line in the cell, (n, 2) each, one after the other: their ends lie on its outline. The
@@ -123,7 +117,7 @@ def _cross_outline(corners: Array, start: Array, end: Array) -> list[tuple[float
 SHORTEST_TOUCH = 1e-9
 """Share of a side by which two parts must touch to hang together."""
 
-Parts = Mapping[int, Sequence[CellPolygon]]
+Parts = Mapping[int, Sequence[_CellPolygon]]
 """Parts of the cut cells, by number of the cell."""
 
 Unit = tuple[int, int]
@@ -133,7 +127,7 @@ Member = tuple[int, Unit]
 """A node, and one of the units around it."""
 
 
-def number_nodes(mesh: Mesh, parts: Parts) -> dict[Member, int]:
+def _number_nodes(mesh: Mesh, parts: Parts) -> dict[Member, int]:
     """Number the nodes of all parts, by node of the whole mesh and part; phantoms come after the mesh's nodes.
 
     Around a node, parts hang together that share a piece of a side, or the node itself. Those that hang together with
@@ -311,16 +305,16 @@ def _keep_clear(line: Array, nodes: Array) -> Array:
     return line
 
 
-def _cut_cells(mesh: Mesh, lines: Sequence[Array]) -> tuple[dict[int, list[CellPolygon]], tuple[Array, ...]]:
+def _cut_cells(mesh: Mesh, lines: Sequence[Array]) -> tuple[dict[int, list[_CellPolygon]], tuple[Array, ...]]:
     """Parts of the cells that lines cross from side to side, by number of the cell, and what bends there cut off."""
-    found: dict[int, list[CellPolygon]] = {}
+    found: dict[int, list[_CellPolygon]] = {}
     bends: list[Array] = []
     for cell in _find_touched_cells(mesh, lines):
         corners = mesh.nodes[mesh.get_cell(int(cell))]
         numbers = tuple(range(len(corners)))
-        parts: list[CellPolygon] = [CellPolygon(corners, numbers, numbers)]
+        parts: list[_CellPolygon] = [_CellPolygon(corners, numbers, numbers)]
         for line in lines:
-            for chord in find_chords(corners, line):
+            for chord in _find_chords(corners, line):
                 parts = [piece for part in parts for piece in part.cut(chord)]
                 if len(chord) > 2:
                     bends.append(chord)
@@ -344,9 +338,9 @@ def _find_touched_cells(mesh: Mesh, lines: Sequence[Array]) -> IntArray:
     return np.flatnonzero(touched).astype(np.int64)
 
 
-def _replace_cut_cells(mesh: Mesh, parts: Mapping[int, Sequence[CellPolygon]], lines: Lines) -> CutMesh:
+def _replace_cut_cells(mesh: Mesh, parts: Mapping[int, Sequence[_CellPolygon]], lines: Lines) -> CutMesh:
     """Put the first part of each cut cell in its place, and its other parts after all cells."""
-    numbers = number_nodes(mesh, parts)
+    numbers = _number_nodes(mesh, parts)
     n_nodes = max(mesh.n_nodes, max(numbers.values()) + 1)
     node_of = np.arange(n_nodes)
     for (node, _), number in numbers.items():

@@ -96,10 +96,7 @@ def evaluate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:
 
 
 def differentiate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:
-    """Differentiate shape functions at points, pixels, in given cells: dN_a / dx_j, (n, 4, dim), 1/px.
-
-    Derivatives are zero for nodes that a cell does not have.
-    """
+    """Differentiate shape functions at points in cells, dN_a / dx_j, (n, 4, dim), 1/px; zero for a node it lacks."""
     by_local = differentiate_monomials(place_in_cells(mesh, cells, points).local)
     jacobian = np.einsum("pim,pmj->pij", compute_geometry(mesh)[cells], by_local)
     by_x = by_local @ np.linalg.inv(jacobian)
@@ -227,10 +224,7 @@ def _find_local_coordinates(points, cells, geometry, local):  # type: ignore[no-
 
 
 def is_inside_outline(points: Array, mesh: Mesh) -> BoolArray:
-    """Tell whether points, pixels, lie inside a mesh's outline: a ray to the right crosses it an odd number of times.
-
-    Those in its holes do not.
-    """
+    """Tell whether points, pixels, lie in a mesh and not in its holes, by how often a ray to the right crosses it."""
     edges = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     # Points outside the bounding box need no ray.
@@ -240,10 +234,7 @@ def is_inside_outline(points: Array, mesh: Mesh) -> BoolArray:
 
 
 def find_cells_with_points(mesh: Mesh, points: Array, margin: float) -> IntArray:
-    """Find the cells that hold any of some points more than ``margin`` from their edges, pixels; sorted.
-
-    Cells must be convex and run positively.
-    """
+    """Find the cells, convex and positive, sorted, that hold a point more than ``margin`` from their edges, pixels."""
     lowest, highest = mesh.whole_outlines.find_boxes()
     low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
     near = ((lowest < high) & (highest > low)).all(axis=1)

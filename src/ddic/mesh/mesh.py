@@ -182,19 +182,9 @@ class Mesh:
         return np.flatnonzero(all_are).astype(np.int64)
 
     def create_submesh(self, cells: IntArray) -> tuple[Mesh, IntArray]:
-        """Restrict the mesh to some of its cells and to their nodes.
+        """Restrict the mesh to some of its cells, (n,), in a new order, and to their nodes.
 
-        Parameters
-        ----------
-        cells : (n,) int64 array
-            Numbers of the cells to keep, in their new order.
-
-        Returns
-        -------
-        mesh : Mesh
-            Of these cells, with the node sets that are left.
-        node_ids : (mesh.n_nodes,) int64 array
-            Sorted numbers of its nodes in this mesh.
+        Beside the mesh, with the node sets that are left, come the sorted numbers of its nodes in this one.
         """
         kept = self.keep_cells(cells)
         node_ids, local = _number_used(kept.connectivity, self.n_nodes)

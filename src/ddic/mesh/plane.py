@@ -126,10 +126,7 @@ def is_inside_edges(points: Array, edges: Array) -> BoolArray:
 
 
 def is_inside_polygon(points: Array, polygon: Array) -> BoolArray:
-    """Tell which points lie in a polygon, which need not be convex, by the parity of its edges to the right of them.
-
-    Its corners, (n_corners, 2), are closed by themselves.
-    """
+    """Tell which points lie in a polygon, (n_corners, 2), convex or not, by the parity of edges to their right."""
     x, y = points.T
     inside = np.zeros(len(points), dtype=bool)
     for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):

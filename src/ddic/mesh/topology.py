@@ -134,11 +134,8 @@ def find_named_nodes(mesh: Mesh, name: str) -> IntArray:
     return mesh.node_sets[name]
 
 
-def find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> IntArray:
-    """Find the nodes in a closed box, its lowest corner, then its highest, pixels; sorted.
-
-    Raises InputError where the box holds no node.
-    """
+def _find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> IntArray:
+    """Nodes in a closed box, lowest corner, then highest, pixels; sorted. Raises InputError where there is none."""
     within = is_in_box(mesh.nodes, box)
     if not within.any():
         raise InputError(f"the box {list(box)} (x0, y0, x1, y1 in pixels) holds no node of the mesh")
@@ -173,7 +170,7 @@ def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[
             problems += [f"regularization.not_controlled: {line}" for line in error.problems]
     for box in boxes:
         try:
-            chosen.append(find_nodes_in_box(mesh, box))
+            chosen.append(_find_nodes_in_box(mesh, box))
         except InputError as error:
             problems += [f"regularization.boxes: {line}" for line in error.problems]
     if problems:

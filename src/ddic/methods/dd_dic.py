@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from ddic.errors import ConvergenceError, as_collective, is_collective
+from ddic.errors import ConvergenceError, as_collective, require_collective
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.methods.method import MethodSession
@@ -195,9 +195,8 @@ class DecomposedSession(MethodSession):
                                             is_regularized=solver.assembly.eta > 0)
                 return noise.sigma * response.rms_per_grey
             except ConvergenceError as error:
-                # What was measured stands without it; what this rank alone raises must end the job.
-                if not is_collective(error):
-                    raise
+                # What was measured stands without it.
+                require_collective(error)
                 return float("nan")
 
     def close(self) -> None:

@@ -45,7 +45,7 @@ def _may_be_off(case: Case) -> bool:
     return any(section.vertices is not None and section.uncertainty > 0 for section in case.discontinuity)
 
 
-class FiniteElements:
+class _FiniteElements:
     """Displacements of the nodes of a mesh, with jumps across lines; a ``Method``."""
 
     check_ranks = staticmethod(check_ranks_of_subdomains)
@@ -58,11 +58,11 @@ class FiniteElements:
     def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                 first_frame: Frame | None = None) -> MethodSession:
         """Prepare M, factors and coarse space."""
-        session = LineSession if is_line_wanted(inputs.case) or _may_be_off(inputs.case) else DecomposedSession
+        session = _LineSession if is_line_wanted(inputs.case) or _may_be_off(inputs.case) else DecomposedSession
         return session(team, inputs, listener, clock, first_frame)
 
 
-METHOD = FiniteElements()
+METHOD = _FiniteElements()
 
 
 def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Listener, clock: PhaseClock) -> Inputs:
@@ -102,20 +102,11 @@ def _loosen(section: GaussNewtonSection) -> GaussNewtonSection:
                                       "largest_tolerance": max(section.largest_tolerance, LARGEST_PX)})
 
 
-class LineSession(MethodSession):
+class _LineSession(MethodSession):
     """A measurement with lines that the images correct: looked for in a frame, or refined in any.
 
-    Where a line is to be found, it is prepared when a frame shows it; until then each frame is measured without. Else
-    as ``DecomposedSession``.
-
-    Parameters
-    ----------
-    team, inputs : Team, Inputs
-        All ranks; reference images, mesh and settings.
-    listener, clock : Listener, PhaseClock
-        Told what happens; the clock of the phases.
-    first_frame : Frame, optional
-        Where it is known already, and no other one will be measured.
+    Where a line is to be found, it is prepared when a frame shows it; until then each frame is measured without. A
+    first frame is given where it is known already, and no other one will be measured. Else as ``DecomposedSession``.
     """
 
     def __init__(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
@@ -218,10 +209,7 @@ def _refine_lines(inputs: Inputs, measurement: Measurement, frame: Frame, clock:
 
 def _refine_lines_roughly(team: Team, inputs: Inputs, frame: Frame, listener: Listener,
                           clock: PhaseClock) -> Refinement | None:
-    """The same where no field is found with the lines as they are: from one that mechanics hold; collective.
-
-    None where there is no such field either.
-    """
+    """The same where no field is found with the lines as they are, from one that mechanics hold, if any; collective."""
     listener.note("no field is found with the discontinuities where they are given; whether they are off is looked for")
     case = inputs.case
     size = team.on_root(lambda: measure_cell_size(inputs.build_mesh()[0]))

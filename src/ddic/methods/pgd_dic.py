@@ -50,9 +50,8 @@ from ddic.results.publishing import describe_images, write_case
 from ddic.results.residual_image import Patch, write_patches
 from ddic.results.summary import Summary, find_field_ranges
 from ddic.results.verdict import Evidence, choose_verdict
-from ddic.separated.band_sums import N_BANDS
 from ddic.separated.corrections import CorrectionRecord, SeparatedSolution, correct_displacement
-from ddic.separated.field import LineElements, SeparatedField
+from ddic.separated.field import N_BANDS, LineElements, SeparatedField
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands
 from ddic.start.separated_start import KnownSeparatedStart, find_separated_start, prepare_separated_search
 from ddic.visibility.cell_errors import (
@@ -70,22 +69,8 @@ Rows = tuple[range, NDArray[np.float32]]
 
 
 @dataclass(frozen=True, eq=False)
-class OutputCells:
-    """Cells between some lines of a rectangle.
-
-    Attributes
-    ----------
-    grid : GridLines
-        The lines, pixels.
-    n_pixels : (n_rows n_columns,) array
-        That count, row by row.
-    residual_rms : (n_rows n_columns,) array
-        Grey levels; nan where no pixel counts.
-    errors : CellErrors
-        What the residual says about them.
-    notes : tuple of str
-        For the user.
-    """
+class _OutputCells:
+    """Cells between some lines, row by row, and the RMS of their residual, grey levels, nan where no pixel counts."""
 
     grid: GridLines
     n_pixels: Array
@@ -111,8 +96,8 @@ class OutputCells:
         return field.evaluate_on_grid(self.grid.x, self.grid.y).reshape(-1, 2)
 
 
-def evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBands,
-                          residual: Sequence[Rows]) -> OutputCells:
+def _evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBands,
+                           residual: Sequence[Rows]) -> _OutputCells:
     """Sum the residual over cells, the same on all ranks; collective.
 
     ``grid`` has the lines between the cells, pixels. ``residual`` is that of this rank's bands, (n_rows, width) each,
@@ -129,7 +114,7 @@ def evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBands
     errors = find_cell_errors(team, [residuals] if team.is_root else [])
     notes, _ = describe_doubtful_cells(team, errors)
     rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
-    return OutputCells(grid, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
+    return _OutputCells(grid, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
 
 
 def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferenceBands, number: int,
@@ -148,7 +133,8 @@ def _sum_band(along_x: LineElements, along_y: LineElements, reference: Reference
     return sums
 
 
-def write_output_cells(writer: ResultWriter, cells: OutputCells, field: SeparatedField, images: ImagesSection) -> None:
+def _write_output_cells(writer: ResultWriter, cells: _OutputCells, field: SeparatedField,
+                        images: ImagesSection) -> None:
     """Write cells with the displacement at their nodes, which are nodes of the elements too; on rank 0."""
     mesh = cells.build_mesh()
     displacement = cells.evaluate_displacement(field)
@@ -167,7 +153,7 @@ def write_output_cells(writer: ResultWriter, cells: OutputCells, field: Separate
                         schema.cell_fields())
 
 
-def _describe_cells(mesh: Mesh, cells: OutputCells, displacement: Array) -> dict[str, NDArray[Any]]:
+def _describe_cells(mesh: Mesh, cells: _OutputCells, displacement: Array) -> dict[str, NDArray[Any]]:
     strain = compute_strain(mesh, displacement.ravel())
     return {
         schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal),
@@ -194,7 +180,7 @@ class SeparatedMeasurement:
         The deformed image.
     solution : SeparatedSolution
         The displacement and its corrections.
-    cells : OutputCells
+    cells : _OutputCells
         On which the displacement is written out, with what the residual says of them.
     residual_rows : list of (range, (n_rows, width) array)
         Residual image of this rank's bands, grey levels.
@@ -207,7 +193,7 @@ class SeparatedMeasurement:
     problem: SeparatedProblem
     frame: Frame
     solution: SeparatedSolution
-    cells: OutputCells
+    cells: _OutputCells
     residual_rows: list[tuple[range, NDArray[np.float32]]]
     notes: tuple[str, ...]
     failure: str = ""
@@ -244,18 +230,15 @@ class SeparatedMeasurement:
         return self.solution.field
 
     def write(self, writer: ResultWriter | None) -> None:
-        """Write the products, the displacement on cells, tables and the residual image; collective.
-
-        The writer is open on rank 0, None elsewhere.
-        """
+        """Write products, displacement on cells, tables and residual image; collective, the writer is rank 0's."""
         self.team.build_on_root(lambda: self._write_on_root(require_held(writer)))
         if self.inputs.case.output.residual_image:
             self._write_residual_image(writer)
 
     def _write_on_root(self, writer: ResultWriter) -> None:
-        write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
+        _write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
         writer.write_separated(self.solution.field)
-        writer.write_table(schema.CORRECTIONS, list_corrections(self.solution.records))
+        writer.write_table(schema.CORRECTIONS, _list_corrections(self.solution.records))
         write_case(self, writer, {"largest_jump_px": 0.0, "stop": self.solution.stop})
         writer.write_status(self.failure, self.verdict)
 
@@ -284,7 +267,7 @@ class SeparatedMeasurement:
             n_modes=solution.field.n_modes,
             method=schema.PGD,
             ranges=find_field_ranges(self.team, [(cells.build_mesh(), u.ravel())]),
-            iteration_table=list_corrections(solution.records),
+            iteration_table=_list_corrections(solution.records),
         )
 
     def describe_origin(self) -> dict[str, str | int]:
@@ -294,7 +277,7 @@ class SeparatedMeasurement:
                                               "deformed": self.frame[0].image})}
 
 
-def list_corrections(records: Sequence[CorrectionRecord]) -> dict[str, list[Any]]:
+def _list_corrections(records: Sequence[CorrectionRecord]) -> dict[str, list[Any]]:
     """List corrections, columns by name; the residual is that before each of them."""
     return {
         "correction": [r.number for r in records],
@@ -316,12 +299,12 @@ def list_corrections(records: Sequence[CorrectionRecord]) -> dict[str, list[Any]
     }
 
 
-def finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, notes: tuple[str, ...],
-                     solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
+def _finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixels, notes: tuple[str, ...],
+                      solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
     """Compute the residual image and judge cells, ``failure`` saying why there is no result, else empty; collective."""
     residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
     grid = GridLines(*choose_output_lines(problem.inputs.case, problem.rectangle))
-    cells = evaluate_output_cells(problem.team, grid, problem.reference, residual)
+    cells = _evaluate_output_cells(problem.team, grid, problem.reference, residual)
     notes = (*problem.inputs.notes, *notes, failure or solution.stop, *cells.notes)
     return SeparatedMeasurement(problem, frame, solution, cells, residual, notes, failure)
 
@@ -358,13 +341,13 @@ class SeparatedSession(MethodSession):
         note_all(self._listener, notes)
         self._listener.problem_size(problem.size)
         pixels = problem.open_frame(frame)
-        with (last_field_kept(self._clock, lambda *found: finish_separated(problem, frame, pixels, notes, *found)),
+        with (last_field_kept(self._clock, lambda *found: _finish_separated(problem, frame, pixels, notes, *found)),
               self._clock.phase(Phase.LINEAR_STEP)):
             solution = problem.team.alike(lambda: correct_displacement(
                 pixels, begin, problem.regularization, problem.scheme, problem.rules, self._report))
         self._listener.note(solution.stop)
         with self._clock.phase(Phase.FINISH):
-            return finish_separated(problem, frame, pixels, notes, solution)
+            return _finish_separated(problem, frame, pixels, notes, solution)
 
     def _report(self, record: CorrectionRecord) -> None:
         """Tell a correction, and end there where a signal asked for it."""
@@ -375,7 +358,7 @@ class SeparatedSession(MethodSession):
         """Do nothing: there is no object of PETSc to free."""
 
 
-class SuccessiveProducts:
+class _SuccessiveProducts:
     """A displacement that is a sum of products on a rectangle; a ``Method``."""
 
     def check_ranks(self, loaded: LoadedCase, n_ranks: int) -> None:
@@ -406,7 +389,7 @@ class SuccessiveProducts:
         return SeparatedSession(team, inputs, listener, clock)
 
 
-METHOD = SuccessiveProducts()
+METHOD = _SuccessiveProducts()
 
 
 def _describe_rectangle(case: Case, reference: ImageSource, rectangle: Rectangle) -> CheckReport:

@@ -11,7 +11,15 @@ from typing import Any
 
 from ddic.case.loader import LoadedCase
 from ddic.check.case import load_checked_case
-from ddic.errors import ConvergenceError, DdicError, InputError, WriteError, as_collective, is_collective
+from ddic.errors import (
+    ConvergenceError,
+    DdicError,
+    InputError,
+    WriteError,
+    as_collective,
+    is_collective,
+    require_collective,
+)
 from ddic.inputs.inputs import inputs_kept, open_inputs
 from ddic.io import result_schema as schema
 from ddic.io.input_file import find_real_path
@@ -54,7 +62,7 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
     if loaded.is_series:
         raise as_collective(InputError(f"{path}: images.deformed: names a series, one image is expected here"))
-    with claimed_output(team, loaded.case.output.file):
+    with _claimed_output(team, loaded.case.output.file):
         return run_pair(team, loaded, listener)
 
 
@@ -68,7 +76,7 @@ def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False
     if resume and not loaded.is_series:
         raise as_collective(InputError(f"--resume: {path} has one deformed image, no series to go on with; leave "
                                        "--resume out"))
-    with claimed_output(team, loaded.case.output.file):
+    with _claimed_output(team, loaded.case.output.file):
         if loaded.is_series:
             from ddic.methods.series import run_series
 
@@ -77,19 +85,12 @@ def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False
 
 
 @dataclass(frozen=True)
-class PhaseTimes:
+class _PhaseTimes:
     """Seconds by phase, in the order in which phases began.
 
-    Attributes
-    ----------
-    seconds : dict
-        Wall seconds of the slowest rank.
-    cpu_seconds : dict
-        CPU seconds of all ranks.
-    imbalance : dict
-        Busy seconds of the busiest rank over their mean, from 1 (all have the same to do) to the number of ranks (one
-        does it all). Busy are CPU seconds that are not spent in a team's communication; what a rank waits inside PETSc
-        counts as busy.
+    Wall seconds are the slowest rank's, CPU seconds those of all ranks. The imbalance is busy seconds of the busiest
+    rank over their mean, from 1 (all have the same to do) to the number of ranks (one does it all). Busy are CPU
+    seconds that are not spent in a team's communication; what a rank waits inside PETSc counts as busy.
     """
 
     seconds: dict[Phase, float]
@@ -97,7 +98,7 @@ class PhaseTimes:
     imbalance: dict[Phase, float]
 
 
-def gather_phase_times(team: Team, clock: PhaseClock) -> PhaseTimes:
+def gather_phase_times(team: Team, clock: PhaseClock) -> _PhaseTimes:
     """Gather what the clocks of all ranks have so far, of the phases that this rank has had; collective."""
     clocks = team.gather_lists([(clock.wall, clock.cpu, clock.busy)])
     seconds, cpu_seconds, imbalance = {}, {}, {}
@@ -107,7 +108,7 @@ def gather_phase_times(team: Team, clock: PhaseClock) -> PhaseTimes:
         busy = [of_rank.get(phase, 0.0) for _, _, of_rank in clocks]
         mean = sum(busy) / len(busy)
         imbalance[phase] = max(busy) / mean if mean > 0 else 1.0
-    return PhaseTimes(seconds, cpu_seconds, imbalance)
+    return _PhaseTimes(seconds, cpu_seconds, imbalance)
 
 
 def write_run(measurement: Publishable, clock: PhaseClock, file: Path, noise_floor: float = float("nan")) -> Summary:
@@ -134,7 +135,7 @@ def write_run(measurement: Publishable, clock: PhaseClock, file: Path, noise_flo
     return summary
 
 
-def write_times(writer: ResultWriter, times: PhaseTimes, noise_floor: float = float("nan")) -> None:
+def write_times(writer: ResultWriter, times: _PhaseTimes, noise_floor: float = float("nan")) -> None:
     """Write the seconds by phase so far, and what noise leaves where it is known; on rank 0."""
     columns = {name: list(by_phase.values()) for name, by_phase in asdict(times).items()}
     writer.write_table(schema.PHASES, {"phase": [str(phase) for phase in times.seconds], **columns})
@@ -177,7 +178,7 @@ def _list_images(measurement: Publishable) -> dict[str, str]:
 
 
 @contextmanager
-def claimed_output(team: Team, file: Path) -> Iterator[None]:
+def _claimed_output(team: Team, file: Path) -> Iterator[None]:
     """Keep others from a result's name during the block; collective, raises InputError on all ranks if a run has it."""
     with ExitStack() as stack:
         team.build_on_root(lambda: stack.enter_context(held_output(file)))
@@ -218,8 +219,7 @@ def _try(work: Callable[[], list[str]], otherwise: str) -> list[str]:
     try:
         return work()
     except (OSError, DdicError) as second:
-        if not is_collective(second):
-            raise
+        require_collective(second)
         return [f"{otherwise} ({second})"]
 
 

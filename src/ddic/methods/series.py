@@ -25,7 +25,7 @@ from ddic.errors import (
     SingularSubdomainError,
     StoppedError,
     as_collective,
-    is_collective,
+    require_collective,
 )
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import FrameOpener, Inputs, inputs_kept, open_inputs
@@ -106,9 +106,7 @@ def _measure_in_groups(team: Team, loaded: LoadedCase, finished: Mapping[int, Fr
                     listener.note(f"{n_groups} groups of {own.size} ranks measure; this one frames {first}-{end - 1}")
                 records = measure_frames(own, images, numbers, before, folder)
             except (DdicError, OSError) as caught:
-                # An error of this rank alone ends all.
-                if not is_collective(caught):
-                    raise
+                require_collective(caught)
                 error = caught
         is_first = own.is_root
     team.share_error(error)
@@ -123,17 +121,17 @@ def _describe_origin(loaded: LoadedCase) -> dict[str, object]:
             "times": list(list_times(loaded.case))}
 
 
-def _open_series(team: Team, loaded: LoadedCase, number: int, listener: Listener) -> SeriesImages:
+def _open_series(team: Team, loaded: LoadedCase, number: int, listener: Listener) -> _SeriesImages:
     """The reference images of a series, and its first frame that is to be measured, from 1; the clock has begun."""
     clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
     with inputs_kept(team, loaded.stamps), clock.phase(Phase.MESH):
         inputs, first = open_inputs(team, loaded, number - 1)
     # A frame that has begun is finished: no signal ends it.
     patient = replace(team, stop=StopRequest())
-    return SeriesImages(patient, FrameOpener(team, inputs, number, first, loaded.stamps), listener, clock)
+    return _SeriesImages(patient, FrameOpener(team, inputs, number, first, loaded.stamps), listener, clock)
 
 
-def measure_frames(team: Team, images: SeriesImages, numbers: Sequence[int], before: Sequence[FrameRecord],
+def measure_frames(team: Team, images: _SeriesImages, numbers: Sequence[int], before: Sequence[FrameRecord],
                    folder: SeriesFolder) -> list[FrameRecord]:
     """Measure frames, from 1, in order, or as many of them as a signal leaves time for; collective.
 
@@ -161,29 +159,28 @@ def measure_frames(team: Team, images: SeriesImages, numbers: Sequence[int], bef
     return so_far.records[len(before):]
 
 
-def _begin(images: SeriesImages, before: Sequence[FrameRecord], folder: SeriesFolder) -> FramesSoFar:
+def _begin(images: _SeriesImages, before: Sequence[FrameRecord], folder: SeriesFolder) -> _FramesSoFar:
     """Prepare the session that an earlier run was at, or a new one; collective."""
     measured, records = [record for record in before if record.converged], list(before)
     if not measured:
-        return FramesSoFar(ReferenceSession.prepare(images, (), images.opener.first), records, [])
+        return _FramesSoFar(_ReferenceSession.prepare(images, (), images.opener.first), records, [])
     lines, reference = measured[-1].lines, measured[-1].reference
     # Fields on a mesh that other lines cut do not help.
     known = [record.number for record in measured[-N_STATES:] if record.lines == lines]
     needed = {*known, reference} - {0}
     stored = images.team.on_root(lambda: {number: folder.read_state(number) for number in needed})
-    session = ReferenceSession.prepare(images, lines)
-    states = collect_states(session.session.problem, [stored[number] for number in known])
+    session = _ReferenceSession.prepare(images, lines)
+    states = _collect_states(session.session.problem, [stored[number] for number in known])
     if not states or not reference:
-        return FramesSoFar(session, records, states)
+        return _FramesSoFar(session, records, states)
     record = next(record for record in measured if record.number == reference)
-    updated = session.update(record, *collect_states(session.session.problem, [stored[reference]]))
+    updated = session.update(record, *_collect_states(session.session.problem, [stored[reference]]))
     states = updated.restrict_states(session, states)
     session.close()
-    return FramesSoFar(updated, records, states)
+    return _FramesSoFar(updated, records, states)
 
 
-def _keep_frame(team: Team, frame: MeasuredFrame, folder: SeriesFolder,
-                writer: BackgroundWriter) -> FrameState | None:
+def _keep_frame(team: Team, frame: _MeasuredFrame, folder: SeriesFolder, writer: BackgroundWriter) -> FrameState | None:
     """Begin to write a frame, or note that it could not be measured; collective, the writer is rank 0's.
 
     Returns what the next frame starts from, as it is written; None where it could not be measured. Raises OSError on
@@ -220,10 +217,7 @@ def _pack_frame(measurement: Measurement, record: FrameRecord, state: FrameState
 
 
 def _note_failure(team: Team, error: DdicError, record: FrameRecord, folder: SeriesFolder) -> None:
-    """Note that a frame could not be measured, and keep its last field; collective.
-
-    What the error brings is written as the result of a pair that did not converge.
-    """
+    """Note that a frame could not be measured, and write its last field as that of an unconverged pair; collective."""
     last = error.last if isinstance(error, ConvergenceError) else None
     if isinstance(last, Publishable):
         path = schema.not_converged_path(folder.result.with_suffix(f".{record.number:06d}{folder.result.suffix}"))
@@ -231,8 +225,7 @@ def _note_failure(team: Team, error: DdicError, record: FrameRecord, folder: Ser
             publish(last, path, flip_y=last.inputs.case.output.flip_y)
         except (OSError, DdicError) as second:
             # That the frame failed is told first; this comes of it.
-            if not is_collective(second):
-                raise
+            require_collective(second)
             record = replace(record, failure=f"{record.failure}; its last field could not be written ({second})")
     team.on_root(lambda: folder.write_failure(record.number, record.as_json()))
 
@@ -271,14 +264,8 @@ def _describe_failures(summary: SeriesSummary) -> str:
 
 
 @dataclass(frozen=True)
-class SeriesImages:
-    """What frames are opened, told and timed with.
-
-    Attributes
-    ----------
-    team, opener, listener, clock : Team, FrameOpener, Listener, PhaseClock
-        No signal stops the team.
-    """
+class _SeriesImages:
+    """What frames are opened, told and timed with; no signal stops the team."""
 
     team: Team
     opener: FrameOpener
@@ -286,7 +273,7 @@ class SeriesImages:
     clock: PhaseClock
 
 
-def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[FrameState]:
+def _collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> list[FrameState]:
     """Take up of what an earlier run has measured what owned subdomains need; collective.
 
     Cameras of ``problem`` are weighted as they were. The list is empty where the subdomains are others: the next frame
@@ -303,7 +290,7 @@ def collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> li
             for state in states]
 
 
-def choose_start(wanted: str, states: Sequence[FrameState], time: float) -> tuple[str, Mapping[int, Array] | None]:
+def _choose_start(wanted: str, states: Sequence[FrameState], time: float) -> tuple[str, Mapping[int, Array] | None]:
     """Choose what a frame starts from of those before it: its name, and unknowns by owned subdomain.
 
     These are None where it is to be searched for. ``wanted`` is ``series.start`` of the case; ``states`` are those of
@@ -321,33 +308,15 @@ def choose_start(wanted: str, states: Sequence[FrameState], time: float) -> tupl
                                    for number, q in last.unknowns.items()}
 
 
-class ReferenceSession:
-    """The session of one reference image, the caller's to close.
+class _ReferenceSession:
+    """The session of one reference image, ``of`` a frame or else the first one; the caller's to close.
 
-    Parameters
-    ----------
-    images : SeriesImages
-        Of the series.
-    inputs : Inputs
-        With that reference image.
-    lines : tuple of tuple of (x, y), optional
-        Vertices of the discontinuities as a frame has refined them, pixels; by default those of the case.
-    first_frame : Frame, optional
-        Where it is known already.
-    of : FrameRecord, optional
-        The frame whose image it is; by default that of no frame, the first one.
-
-    Attributes
-    ----------
-    frame : int
-        Its number; 0 for the first reference image.
-    session : DecomposedSession
-        Closed with this one.
-    started_from : str
-        Where the last frame was started.
+    ``frame`` is that frame's number, 0 for the first reference image; ``lines`` are the vertices of the discontinuities
+    as a frame has refined them, pixels, none for those of the case; ``started_from`` says where the last frame was
+    started.
     """
 
-    def __init__(self, images: SeriesImages, inputs: Inputs, lines: tuple[Vertices, ...] = (),
+    def __init__(self, images: _SeriesImages, inputs: Inputs, lines: tuple[Vertices, ...] = (),
                  first_frame: Frame | None = None, of: FrameRecord | None = None) -> None:
         self.images, self.lines = images, lines
         self.frame = 0 if of is None else of.number
@@ -358,16 +327,15 @@ class ReferenceSession:
         self.started_from = SEARCH
 
     @classmethod
-    def prepare(cls, images: SeriesImages, lines: tuple[Vertices, ...],
-                first_frame: Frame | None = None) -> ReferenceSession:
+    def prepare(cls, images: _SeriesImages, lines: tuple[Vertices, ...],
+                first_frame: Frame | None = None) -> _ReferenceSession:
         """Prepare the session of the first reference image with lines as a frame has refined them; collective.
 
-        ``first_frame`` is given where it is known already. Raises InputError, SingularSubdomainError or
-        FactorizationError on all ranks.
+        Raises InputError, SingularSubdomainError or FactorizationError on all ranks.
         """
-        return cls(images, place_lines(images.opener.inputs, lines), lines, first_frame)
+        return cls(images, _place_lines(images.opener.inputs, lines), lines, first_frame)
 
-    def update(self, record: FrameRecord, state: FrameState) -> ReferenceSession:
+    def update(self, record: FrameRecord, state: FrameState) -> _ReferenceSession:
         """Prepare a session that compares with a frame that was measured; collective.
 
         This one stays; the other one is the caller's to close. ``state`` is the frame's field on this session's
@@ -378,7 +346,7 @@ class ReferenceSession:
         displacement = self._gather(state)
         frame = images.opener.open(record.number)
         inputs = update_reference(images.team, self.session.problem.reference, frame, displacement)
-        return ReferenceSession(images, inputs, of=record)
+        return _ReferenceSession(images, inputs, of=record)
 
     def measure(self, frame: Frame, states: Sequence[FrameState], time: float) -> Measurement:
         """Measure a frame from those before it, or from a search where there are none or they lead nowhere; collective.
@@ -387,15 +355,14 @@ class ReferenceSession:
         SingularSubdomainError on all ranks, where the search does not converge either.
         """
         session, reference, listener = self.session, self.session.problem.reference, self.images.listener
-        self.started_from, unknowns = choose_start(self.images.opener.inputs.case.series.start, states, time)
+        self.started_from, unknowns = _choose_start(self.images.opener.inputs.case.series.start, states, time)
         if unknowns is not None:
             session.begin_anew()
             try:
                 start = reference.convert_to_reference([unknowns[s.index] for s in reference.subdomains])
                 return session.measure(frame, start, LEAST_SHOWN * states[-1].shown_share)
             except (ConvergenceError, SingularSubdomainError) as error:
-                if not is_collective(error):
-                    raise
+                require_collective(error)
                 listener.note(f"from {self.started_from}: {error}; it is searched for")
                 self.started_from = SEARCH
         session.begin_anew()
@@ -412,7 +379,7 @@ class ReferenceSession:
             self._floor_by_grey_level = self.session.estimate_noise_floor(measurement) / max(deviation, 1e-300)
         return math.hypot(self._noise_floor, self._floor_by_grey_level * deviation)
 
-    def restrict_states(self, other: ReferenceSession, states: Sequence[FrameState]) -> list[FrameState]:
+    def restrict_states(self, other: _ReferenceSession, states: Sequence[FrameState]) -> list[FrameState]:
         """Restrict another session's states to these subdomains, none where other lines cut the mesh; collective."""
         if other is self:
             return list(states)
@@ -424,11 +391,9 @@ class ReferenceSession:
                 for state, field in zip(states, fields, strict=True)]
 
     def _gather(self, state: FrameState) -> Array:
-        """The displacement of all nodes since the first reference image, (n_nodes, 2), pixels; collective.
-
-        The unknowns of the subdomains are displacements of nodes.
-        """
+        """The displacement of all nodes since the first reference image, (n_nodes, 2), pixels; collective."""
         reference = self.session.problem.reference
+        # The unknowns of the subdomains are displacements of nodes.
         own = [(subdomain.node_ids, state.unknowns[subdomain.index].reshape(-1, 2))
                for subdomain in reference.subdomains]
         return place_at_nodes(self.images.team.gather_lists(own), reference.region.n_nodes)
@@ -438,7 +403,7 @@ class ReferenceSession:
         self.session.close()
 
 
-def place_lines(inputs: Inputs, lines: tuple[Vertices, ...]) -> Inputs:
+def _place_lines(inputs: Inputs, lines: tuple[Vertices, ...]) -> Inputs:
     """Put the discontinuities of a case where a frame has refined them, pixels; they stay where there are no lines."""
     if not lines:
         return inputs
@@ -448,25 +413,18 @@ def place_lines(inputs: Inputs, lines: tuple[Vertices, ...]) -> Inputs:
 
 
 @dataclass(frozen=True)
-class MeasuredFrame:
-    """What became of a frame.
+class _MeasuredFrame:
+    """What became of a frame; its result is an error where it could not be measured.
 
-    Attributes
-    ----------
-    record : FrameRecord
-        What is told of it.
-    result : Measurement or DdicError
-        Its field, or why it could not be measured.
-    session : ReferenceSession
-        That measured it: another one than was asked where lines were refined, which the caller has to close then.
+    The session is another one than was asked where lines were refined, and then the caller's to close.
     """
 
     record: FrameRecord
     result: Measurement | DdicError
-    session: ReferenceSession
+    session: _ReferenceSession
 
 
-def measure_frame(session: ReferenceSession, number: int, states: Sequence[FrameState]) -> MeasuredFrame:
+def _measure_frame(session: _ReferenceSession, number: int, states: Sequence[FrameState]) -> _MeasuredFrame:
     """Measure a frame, once more where its residual says that lines are off; collective.
 
     What cannot be measured is told. Frames are numbered from 1; ``states`` are those of the last frames that were
@@ -481,29 +439,28 @@ def measure_frame(session: ReferenceSession, number: int, states: Sequence[Frame
             frame = opener.open(number)
             session, measurement = _measure_on_lines(session, frame, states, record.time)
     except DdicError as error:
-        if not is_collective(error):
-            raise
-        return MeasuredFrame(replace(record, failure=str(error)), error, session)
+        require_collective(error)
+        return _MeasuredFrame(replace(record, failure=str(error)), error, session)
     deviation = measurement.evaluation.grey[0].residual_std
     record = replace(record, converged=True, iterations=measurement.n_iterations, started_from=session.started_from,
                      lines=session.lines, residual_std_grey=deviation,
                      noise_floor_px=session.estimate_noise_floor(measurement), notes=measurement.notes,
                      verdict=measurement.verdict.word, reasons=measurement.verdict.reasons,
                      seconds=float(images.team.maximum(time.perf_counter() - began)))
-    return MeasuredFrame(record, measurement, session)
+    return _MeasuredFrame(record, measurement, session)
 
 
-def _measure_on_lines(session: ReferenceSession, frame: Frame, states: Sequence[FrameState],
-                      time: float) -> tuple[ReferenceSession, Measurement]:
+def _measure_on_lines(session: _ReferenceSession, frame: Frame, states: Sequence[FrameState],
+                      time: float) -> tuple[_ReferenceSession, Measurement]:
     """Measure a frame with a session, or with one of lines that it refines; collective."""
     images = session.images
-    inputs = place_lines(images.opener.inputs, session.lines)
+    inputs = _place_lines(images.opener.inputs, session.lines)
     measured = measure_and_look(lambda: session.measure(frame, states, time), images.team, inputs, frame,
                                 images.listener, images.clock)
     if isinstance(measured, Measurement):
         return session, measured
     lines = tuple(section.vertices or () for section in measured.case.discontinuity)
-    refined = ReferenceSession.prepare(images, lines, frame)
+    refined = _ReferenceSession.prepare(images, lines, frame)
     try:
         measurement = refined.measure(frame, (), time)
     except DdicError:
@@ -514,32 +471,26 @@ def _measure_on_lines(session: ReferenceSession, frame: Frame, states: Sequence[
 
 
 @dataclass
-class FramesSoFar:
-    """The frames of a series that are finished, and what the next one goes on from.
+class _FramesSoFar:
+    """The frames of a series that are finished, in order, and what the next one goes on from.
 
-    Attributes
-    ----------
-    session : ReferenceSession
-        Of the reference image in use; it changes with the frames.
-    records : list of FrameRecord
-        Of all frames so far, in order.
-    states : list of FrameState
-        Of the last that were measured, two at most, on the session's subdomains.
+    The session is of the reference image in use; states are those of the last frames that were measured, N_STATES at
+    most, on its subdomains.
     """
 
-    session: ReferenceSession
+    session: _ReferenceSession
     records: list[FrameRecord]
     states: list[FrameState]
 
-    def measure(self, number: int) -> MeasuredFrame:
+    def measure(self, number: int) -> _MeasuredFrame:
         """Measure a frame, with the last one that was measured as its reference image where that is due; collective.
 
         Frames are numbered from 1; it is not among those that are finished yet.
         """
         session, section = self.session, self.session.images.opener.inputs.case.series
         if section.incremental == "always" and number - session.frame > section.update_after:
-            return self._measure_updated(number) or measure_frame(session, number, self.states)
-        frame = measure_frame(session, number, self.states)
+            return self._measure_updated(number) or _measure_frame(session, number, self.states)
+        frame = _measure_frame(session, number, self.states)
         if section.incremental == "auto" and self._asks_for_update(frame.record):
             again = self._measure_updated(number)
             if again is not None and _is_better(again.record, frame.record):
@@ -548,7 +499,7 @@ class FramesSoFar:
                 again.session.close()
         return frame
 
-    def add(self, frame: MeasuredFrame, state: FrameState | None) -> None:
+    def add(self, frame: _MeasuredFrame, state: FrameState | None) -> None:
         """Add a frame, and go on with the session that measured it; ``state`` is None where none did; collective."""
         states = frame.session.restrict_states(self.session, self.states)
         if frame.session is not self.session:
@@ -557,7 +508,7 @@ class FramesSoFar:
         self.records.append(frame.record)
         self.states = (states if state is None else [*states, state])[-N_STATES:]
 
-    def _measure_updated(self, number: int) -> MeasuredFrame | None:
+    def _measure_updated(self, number: int) -> _MeasuredFrame | None:
         """Measure a frame with a session that compares with the last one that was measured; collective.
 
         None where there is none, or nothing is known of its field, or it is the reference image, or cannot be.
@@ -569,13 +520,12 @@ class FramesSoFar:
         try:
             updated = self.session.update(last, self.states[-1])
         except DdicError as error:
-            if not is_collective(error):
-                raise
+            require_collective(error)
             listener.note(f"frame {last.number} cannot be the reference image: {error}")
             return None
         listener.note(f"frame {last.number} is the reference image from here on; its error adds up to those that "
                       "follow")
-        return measure_frame(updated, number, updated.restrict_states(self.session, self.states))
+        return _measure_frame(updated, number, updated.restrict_states(self.session, self.states))
 
     def _asks_for_update(self, record: FrameRecord) -> bool:
         """Whether a frame was not measured, or its residual has grown."""

@@ -15,9 +15,11 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ddic.arrays import Array
-from ddic.errors import ConvergenceError, DdicError, is_collective
+from ddic.case.schema import Case, RegularizationSection
+from ddic.errors import ConvergenceError, DdicError, require_collective
 from ddic.functionals.noise_transfer import build_white_transfer
 from ddic.functionals.regularization import Material
 from ddic.functionals.texture import measure_gap
@@ -50,21 +52,72 @@ from ddic.results.sweep import (
 )
 from ddic.solvers.probing import estimate_degrees_of_freedom, estimate_response
 from ddic.start.given_start import EarlierResult, keep_displacement
-from ddic.synth.virtual_image import render_virtual_image
 
 T = TypeVar("T")
 
 
-class CandidateSession:
-    """A candidate, prepared at its first measurement; the caller's to close.
+ELEMENT_FACTORS = (0.5, 2**-0.5, 1.0, 2**0.5, 2.0)
+"""Element sizes that are tried, over that of the case."""
 
-    Parameters
-    ----------
-    team, candidate, inputs : Team, Candidate, Inputs
-        All ranks; what is tried, and inputs with its case and mesh.
-    stays_open : bool
-        Whether images, M and factors are kept from one measurement to the next.
+WAVELENGTH_FACTORS = tuple(2 ** (k / 2) for k in range(-4, 5))
+"""Cut-off wavelengths that are tried, over that of the case."""
+
+ELEMENTS_A_WAVELENGTH = 5.0
+"""Elements in the cut-off wavelength about which a case without one is tried."""
+
+_DIGITS = 3
+"""Of the sizes that are tried: they are written into case files."""
+
+
+def set_resolution(case: Case, element_size: float | None, wavelength: float) -> Case:
+    """Put another element size and cut-off wavelength l_c, pixels, into a case, and ask for no residual image.
+
+    All else stays. An ``element_size`` of None keeps the mesh, a ``wavelength`` of 0 leaves the regularization out. The
+    case is not validated again.
     """
+    section = case.regularization
+    if wavelength and section is not None:
+        section = section.model_copy(update={"cut_off_wavelength": wavelength, "eta": None})
+    elif wavelength:
+        section = RegularizationSection(cut_off_wavelength=wavelength)
+    else:
+        section = None
+    mesh = case.mesh
+    if element_size is not None and mesh.structured is not None:
+        structured = mesh.structured.model_copy(update={"element_size": element_size})
+        mesh = mesh.model_copy(update={"structured": structured})
+    output = case.output.model_copy(update={"residual_image": False})
+    return case.model_copy(update={"mesh": mesh, "regularization": section, "output": output})
+
+
+def list_element_sizes(case: Case) -> list[float | None]:
+    """List element sizes about that of a case, pixels, its own first; None alone where a file brings the elements."""
+    if case.mesh.structured is None:
+        return [None]
+    own = case.mesh.structured.element_size
+    x0, y0, x1, y1 = case.mesh.structured.region
+    sizes = [_round(own * factor) for factor in ELEMENT_FACTORS]
+    return [own, *(size for size in sizes if size != own and size <= min(x1 - x0, y1 - y0))]
+
+
+def list_wavelengths(case: Case, typical_size: float) -> list[float]:
+    """List cut-off wavelengths about that of a case, pixels, its own first, and 0 for no regularization.
+
+    ``typical_size`` is that of its elements, pixels.
+    """
+    section = case.regularization
+    own = None if section is None else section.cut_off_wavelength
+    middle = ELEMENTS_A_WAVELENGTH * typical_size if own is None else own
+    others = [0.0, *(_round(middle * factor) for factor in WAVELENGTH_FACTORS)]
+    return list(dict.fromkeys([*([] if own is None else [own]), *others]))
+
+
+def _round(size: float) -> float:
+    return float(f"{size:.{_DIGITS}g}")
+
+
+class _CandidateSession:
+    """A candidate, prepared at its first measurement; what is made then is kept if it ``stays_open``."""
 
     def __init__(self, team: Team, candidate: Candidate, inputs: Inputs, *, stays_open: bool) -> None:
         self.candidate, self._team, self._inputs, self._stays_open = candidate, team, inputs, stays_open
@@ -76,7 +129,7 @@ class CandidateSession:
         ``start`` is a displacement to start from; None: it is searched for. Where nothing was measured the reason is in
         the trial: one candidate that fails ends no sweep.
         """
-        found = self._measure(frame, start, lambda problem, measured: collect_trial(self.candidate, problem, measured))
+        found = self._measure(frame, start, lambda problem, measured: _collect_trial(self.candidate, problem, measured))
         return (Trial(self.candidate, NOWHERE, failure=found), None) if isinstance(found, str) else found
 
     def measure_virtual(self, frame: Frame, start: EarlierResult) -> Result | None:
@@ -93,9 +146,7 @@ class CandidateSession:
                 self._session = DecomposedSession(self._team, self._inputs, Silence(), clock)
             return take(self._session.problem, self._session.measure(frame, start))
         except DdicError as error:
-            # What this rank alone raises must end the job.
-            if not is_collective(error):
-                raise
+            require_collective(error)
             self.close()
             return str(error)
         finally:
@@ -119,7 +170,7 @@ LEAST_MEASURED = 0.95
 NOWHERE = np.zeros((0, 2))
 
 
-def collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
+def _collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: Measurement) -> tuple[Trial, Result]:
     """Judge what a candidate measured of the pair by residual, degrees of freedom and noise; collective.
 
     The field comes with the trial, both on every rank. The problem is of one camera, the measurement the last one with
@@ -137,7 +188,7 @@ def collect_trial(candidate: Candidate, problem: WeightedProblem, measurement: M
                  noise=noise), result
 
 
-def draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Array:
+def _draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Array:
     """Draw places all over the mesh of the first field that was measured, the same at every call.
 
     Places are (n_points, 2), pixels. Raises ConvergenceError where no candidate measured anything.
@@ -150,14 +201,14 @@ def draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Arr
     return np.asarray(points[np.isfinite(result.at(points)).all(axis=1)])
 
 
-def evaluate_pair(trial: Trial, field: Result | None, points: Array, material: Material) -> Trial:
+def _evaluate_pair(trial: Trial, field: Result | None, points: Array, material: Material) -> Trial:
     """Add what a candidate measured of the pair at points, (n_points, 2), pixels, and its forces out of equilibrium."""
     if field is None:
         return replace(trial, displacement=np.full(points.shape, np.nan))
     return replace(trial, displacement=field.at(points), gap=measure_gap(field.mesh, field.displacement, material))
 
 
-def evaluate_virtual(trial: Trial, result: Result | None, truth: VirtualTruth, points: Array) -> Trial:
+def _evaluate_virtual(trial: Trial, result: Result | None, truth: VirtualTruth, points: Array) -> Trial:
     """Compare what a candidate measured of the virtual images with the truth at points, (n_points, 2), pixels.
 
     The trial gains its RMS error of a component, or why there is none; ``result`` is None where it could not be
@@ -227,6 +278,63 @@ class VirtualTruth:
         return image
 
 
+DEGREE = 5
+"""Of the spline that moves the image: another one than the cubic that measures, or its errors would cancel."""
+
+NEAR_PX = 1e-5
+"""Change of a point, pixels, below which it is where it came from; a larger one blurs the known displacement."""
+
+MOST_STEPS = 50
+"""Steps after which a point stays where it is: at the sides of a crack that closes none fits."""
+
+_ROWS = 256
+"""Rows that are made at once; a larger value takes more memory."""
+
+
+def render_virtual_image(grey: Array, displacement: Array) -> NDArray[np.float32]:
+    """Render g(y) = f(x) with x + u(x) = y, f interpolated by a quintic spline.
+
+    ``displacement`` is u at pixel centres, (height, width, 2), pixels, finite. Noise of f moves with the specimen and
+    is texture here; interpolation smooths it. What f does not show is its mirror image.
+    """
+    coefficients = ndimage.spline_filter(grey, DEGREE, mode="mirror")
+    affine = _fit_affine(displacement)
+    bands = []
+    for first in range(0, grey.shape[0], _ROWS):
+        rows = np.arange(first, min(first + _ROWS, grey.shape[0]))
+        y, x = np.meshgrid(rows, np.arange(grey.shape[1]), indexing="ij")
+        origins = _find_origins(displacement, affine, np.stack([x, y]).astype(np.float64))
+        bands.append(ndimage.map_coordinates(coefficients, origins[::-1], order=DEGREE, prefilter=False,
+                                             mode="mirror").astype(np.float32))
+    return np.concatenate(bands)
+
+
+def _fit_affine(displacement: Array) -> tuple[Array, Array]:
+    """F and t of x + u(x) = F x + t + small, by least squares over a few thousand pixels."""
+    height, width, _ = displacement.shape
+    y, x = np.mgrid[0:height:max(1, height // 64), 0:width:max(1, width // 64)]
+    columns = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    fitted = np.linalg.lstsq(columns, displacement[y.ravel(), x.ravel()], rcond=None)[0]
+    return np.eye(2) + fitted[:2].T, fitted[2]
+
+
+def _find_origins(displacement: Array, affine: tuple[Array, Array], points: Array) -> Array:
+    """The x of points y, both (2, rows, columns): x <- F^-1 (y - t - what is left of u at x)."""
+    gradient, offset = affine
+    inverse = np.linalg.inv(gradient)
+    shift = offset[:, None, None]
+    x = np.einsum("ij,jrc->irc", inverse, points - shift)
+    for _ in range(MOST_STEPS):
+        u = np.stack([ndimage.map_coordinates(displacement[..., axis], x[::-1], order=1, mode="nearest")
+                      for axis in range(2)])
+        # Without its affine part, so that turned and stretched images need no more steps than others.
+        change = np.einsum("ij,jrc->irc", inverse, points - x - u)
+        x = x + change
+        if np.abs(change).max() <= NEAR_PX:
+            break
+    return np.asarray(x)
+
+
 KEPT_PIXELS = 50_000_000
 """Pixels of all candidates together up to which their images, M and factors are kept, 20 to 40 bytes a pixel; others
 are prepared twice. A larger value takes more memory."""
@@ -248,11 +356,11 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
     material = Material() if section is None else build_material(section)
     stays_open = reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
     with ExitStack() as stack:
-        sessions = [stack.enter_context(closing(CandidateSession(team, candidate, inputs, stays_open=stays_open)))
+        sessions = [stack.enter_context(closing(_CandidateSession(team, candidate, inputs, stays_open=stays_open)))
                     for candidate, inputs in varied]
         trials, fields = _measure_pair(sessions, frame, advance)
-        points = team.alike(lambda: draw_points(trials, fields))
-        trials = [evaluate_pair(trial, field, points, material) for trial, field in zip(trials, fields, strict=True)]
+        points = team.alike(lambda: _draw_points(trials, fields))
+        trials = [_evaluate_pair(trial, field, points, material) for trial, field in zip(trials, fields, strict=True)]
         noise = estimate_pair_noise(trials, _find_noise_transfer(trials, degree))
         trials = predict_errors(trials, noise, team.on_root(lambda: _measure_gradient(reference, points, degree)))
         known = int(np.nanargmin([trial.predicted_error for trial in trials]))
@@ -266,13 +374,13 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
             advance(f"virtual images, {trials[number].candidate.describe()}")
             if not trials[number].failure:
                 measured = session.measure_virtual(virtual, start)
-                trials[number] = evaluate_virtual(trials[number], measured, truth, points)
+                trials[number] = _evaluate_virtual(trials[number], measured, truth, points)
     trials = correct_predictions(trials, known)
     chosen = team.alike(lambda: choose_trial(trials))
     return Sweep(tuple(trials), points, noise.camera, known, chosen)
 
 
-def _measure_pair(sessions: Sequence[CandidateSession], frame: Frame,
+def _measure_pair(sessions: Sequence[_CandidateSession], frame: Frame,
                   advance: Advance) -> tuple[list[Trial], list[Result | None]]:
     """What each measures of the pair, from the second on starting from the first field."""
     trials: list[Trial] = []
@@ -289,10 +397,7 @@ def _measure_pair(sessions: Sequence[CandidateSession], frame: Frame,
 
 
 def _find_noise_transfer(trials: Sequence[Trial], degree: int) -> float:
-    """What interpolation leaves of the deformed image's noise where the specimen has moved, from 0 to 1.
-
-    Of the trials of the pair the first that measured it counts.
-    """
+    """What interpolation leaves of the deformed image's noise, 0 to 1, where the first trial measured it has moved."""
     measured = next(trial for trial in trials if not trial.failure)
     is_known = np.isfinite(measured.displacement).all(axis=1)
     # As much along x as along y.
@@ -308,9 +413,6 @@ def _measure_gradient(reference: MaskedSource, points: Array, degree: int) -> fl
 
 
 def _render(team: Team, reference: MaskedSource, truth: VirtualTruth, noise: float) -> Frame:
-    """The deformed image of a displacement, with noise of a standard deviation, grey levels; collective.
-
-    Every rank holds it whole, 4 bytes a pixel.
-    """
+    """The deformed image of a displacement, with noise of a standard deviation, whole on every rank; collective."""
     values = team.on_root(lambda: truth.render(reference.read_whole(), noise))
     return (MaskedSource(ArraySource(Path("virtual image"), values)),)

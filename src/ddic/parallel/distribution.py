@@ -16,7 +16,7 @@ from ddic.functionals.grey_statistics import find_value_at
 from ddic.parallel.team import Team
 from ddic.partition.sharing import share_among_copies
 from ddic.partition.subdomain import Subdomain
-from ddic.separated.band_sums import BandSums
+from ddic.separated.field import BandSums
 
 HALVINGS = 60
 """Halvings of the interval that holds the smallest possible largest cost: enough for the last bit of a float, and more

@@ -74,13 +74,9 @@ class PhaseClock:
             self.cpu[phase] = self.cpu.get(phase, 0.0) + cpu
             self.busy[phase] = self.busy.get(phase, 0.0) + cpu - waited
 
-    def note_each(self, items: Sequence[T], begin: float = 0.0, end: float = 1.0) -> Iterator[T]:
-        """Go through what the phase at hand works on, item by item, and tell how far it is.
-
-        Items take as long to work on, each, as far as is known; ``begin`` and ``end`` are the shares of the phase
-        before and after all of them.
-        """
+    def note_each(self, items: Sequence[T], end: float = 1.0) -> Iterator[T]:
+        """Go through what the phase at hand works on, and tell how far it is, items alike, up to the share ``end``."""
         for n_done, item in enumerate(items, start=1):
             yield item
             if self.advanced is not None:
-                self.advanced(begin + (end - begin) * n_done / len(items))
+                self.advanced(end * n_done / len(items))

@@ -120,10 +120,7 @@ class StopRequest:
             self.note(number, sender)
 
     def note(self, number: int, sender: int) -> None:
-        """Note a signal, or interrupt the main thread where the rank must end at once.
-
-        ``sender`` is the process that sent it; 0 where it is not known.
-        """
+        """Note a signal, of ``sender`` or 0, or interrupt the main thread where the rank must end at once."""
         is_asked_to_stop = number in STOPPING
         self.asked = self.asked or is_asked_to_stop
         self.is_by_launcher = self.is_by_launcher or (number == signal.SIGTERM and is_launcher(sender))
@@ -180,10 +177,7 @@ def is_stop_asked(team: Team) -> bool:
 
 
 def stop_if_asked(team: Team, when: str) -> None:
-    """Raise StoppedError on all ranks where any was asked to stop; collective.
-
-    ``when`` says how far the run is, for the message.
-    """
+    """Raise StoppedError, which says ``when``, on all ranks where any was asked to stop; collective."""
     if is_stop_asked(team):
         raise as_collective(StoppedError(f"stopped by a signal {when}"))
 

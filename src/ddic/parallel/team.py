@@ -116,7 +116,7 @@ def merge_groups(some: Groups, others: Groups) -> Groups:
 
 def sum_groups(groups: Groups) -> Array:
     """Sum the groups of all terms; one is left where the number of terms is a power of 2."""
-    total, *others = (groups[place] for place in sorted(groups, key=_find_first_term))
+    total, *others = (groups[place] for place in sorted(groups, key=lambda place: place[1] << place[0]))
     return sum(others, start=total)
 
 
@@ -129,11 +129,6 @@ def _add(groups: Groups, place: Place, values: Array) -> None:
         return
     first, second = (neighbour, values) if number % 2 else (values, neighbour)
     _add(groups, (level + 1, number // 2), first + second)
-
-
-def _find_first_term(place: Place) -> int:
-    level, number = place
-    return number << level
 
 
 @dataclass(frozen=True)
@@ -210,17 +205,11 @@ class Team:
         return outcome
 
     def scatter_from_root(self, work: Callable[[], Sequence[T]]) -> T:
-        """Run work on rank 0 and give each rank its item of the result, which has one per rank.
-
-        Raises on all ranks what the work raises.
-        """
+        """Run work on rank 0, whose errors all ranks raise, and give each rank its item of the result."""
         return self.scatter(self.build_on_root(work))
 
     def together(self, work: Callable[[], T]) -> T:
-        """Run work, free of communication, on every rank, and return this rank's own result.
-
-        Raises on all ranks what the work of the lowest rank that fails raises.
-        """
+        """Run work, free of communication, on every rank, for its own result; all raise the lowest failing's error."""
         error: Exception | None = None
         try:
             result = work()
@@ -452,10 +441,7 @@ class Team:
 
 
 def require_held(item: T | None) -> T:
-    """Return what this rank holds, for work on the rank that ``build_on_root``, ``gather_to``... gave it to.
-
-    Raises RuntimeError on a rank that does not hold it.
-    """
+    """Return what this rank holds of ``build_on_root``, ``gather_to``...; raises RuntimeError on one that does not."""
     if item is None:
         raise RuntimeError("this rank holds nothing: another rank was given it")
     return item

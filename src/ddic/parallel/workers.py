@@ -1,7 +1,5 @@
 """Ranks that work for one of them, which alone knows what comes next."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar

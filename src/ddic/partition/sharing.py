@@ -28,15 +28,12 @@ class Ranks(Protocol):
     @property
     def size(self) -> int:
         """How many there are."""
-        ...
 
     def exchange(self, items: Mapping[int, T]) -> dict[int, T]:
         """Send an item to each of some ranks; what comes back is by rank that sent it, in their order."""
-        ...
 
     def sum_below(self, counts: IntArray) -> IntArray:
         """Sum whole numbers, (n,), over the ranks below this one."""
-        ...
 
 
 class OneRank:

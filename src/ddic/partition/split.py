@@ -1,4 +1,4 @@
-"""Split the cells of a mesh into subdomains, and join those that cannot stand alone with a neighbour that can."""
+"""Split the cells of a mesh, or of a grid, into subdomains, and join those that cannot stand alone with a neighbour."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,6 +10,7 @@ from scipy.sparse import csgraph
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
+from ddic.mesh.grid import GridBlock, GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_adjacent_cells
@@ -62,6 +63,42 @@ def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> IntArray:
     return renumber(np.ravel_multi_index(tuple(place.T), blocks, mode="clip", order="F"))
 
 
+def split_grid(grid: GridLines, n_subdomains: int) -> list[GridBlock]:
+    """Split into rectangles of about as many cells, at most one for each cell, by halving along the longer side."""
+    return _halve(GridBlock(range(len(grid.x) - 1), range(len(grid.y) - 1)), n_subdomains)
+
+
+def _halve(block: GridBlock, n: int) -> list[GridBlock]:
+    """Rectangles of a block, n of them."""
+    if n == 1:
+        return [block]
+    along, across = block if len(block.columns) >= len(block.rows) else block[::-1]
+    half = n // 2
+    middle = min(max(round(len(along) * half / n), 1), len(along) - 1)
+    # Where there are few cells, each of the rectangles on either side needs one.
+    half = min(max(half, n - (len(along) - middle) * len(across)), middle * len(across))
+    low, high = along[:middle], along[middle:]
+    sides = [GridBlock(low, across), GridBlock(high, across)]
+    if along is not block.columns:
+        sides = [GridBlock(across, low), GridBlock(across, high)]
+    return [*_halve(sides[0], half), *_halve(sides[1], n - half)]
+
+
+def split_grid_by_blocks(grid: GridLines, blocks: tuple[int, int]) -> list[GridBlock]:
+    """Split into columns and rows of blocks, as ``split_by_blocks`` splits a mesh of the grid."""
+    columns, rows = (_split_line(line, n) for line, n in zip((grid.x, grid.y), blocks, strict=True))
+    # The first axis varies fastest.
+    return [GridBlock(of_columns, of_rows) for of_rows in rows for of_columns in columns]
+
+
+def _split_line(line: Array, n: int) -> list[range]:
+    """Ranges of cells along a line whose middles lie in each of n equal parts of it, where there are any."""
+    middles = (line[1:] + line[:-1]) / 2
+    place = np.minimum(np.floor((middles - line[0]) / (line[-1] - line[0]) * n), n - 1)
+    _, first, counts = np.unique(place, return_index=True, return_counts=True)
+    return [range(int(begin), int(begin + count)) for begin, count in zip(first, counts, strict=True)]
+
+
 def renumber(parts: IntArray) -> IntArray:
     """Number the subdomains of the cells, (n_cells,), 0, 1, ... without gaps, in the old order."""
     _, places = np.unique(parts, return_inverse=True)
@@ -69,10 +106,7 @@ def renumber(parts: IntArray) -> IntArray:
 
 
 def _fill_empty(parts: IntArray, n_subdomains: int, adjacent: tuple[IntArray, IntArray]) -> IntArray:
-    """Give each subdomain without cells that cell of the largest one which has fewest neighbours there.
-
-    METIS leaves some empty where there are few cells for each.
-    """
+    """Give subdomains that METIS leaves empty that cell of the largest one with fewest neighbours there."""
     indptr, indices = adjacent
     filled, counts = parts.copy(), np.bincount(parts, minlength=n_subdomains)
     for empty in np.flatnonzero(counts == 0):
@@ -115,10 +149,7 @@ Adjacency = tuple[IntArray, IntArray]
 
 
 def find_connected_pieces(adjacency: Adjacency) -> IntArray:
-    """Find the pieces of a mesh whose cells facets connect: the piece of each cell, from 0.
-
-    A node alone is a hinge: mechanics do not hold one piece by another at it.
-    """
+    """Find the piece of each cell, from 0: facets connect cells, a node alone, which is a hinge, does not."""
     indptr, indices = adjacency
     n_cells = len(indptr) - 1
     ones = np.ones(len(indices), dtype=np.int64)

@@ -242,13 +242,11 @@ def _scaled_entries(interface: Interface, members: IntArray, weights: Array, wei
 
 
 def _build_matrix(interface: Interface, row_index: IntArray, entries: Entries) -> sparse.csc_matrix:
-    """From entries by number of row to a matrix of the rows that there are here.
-
-    By columns, of which a subdomain has few: rows are those of all subdomains of a rank.
-    """
+    """From entries by number of row to a matrix of the rows that there are here."""
     rows, columns, values = entries
     places = np.searchsorted(row_index, rows)
     shape = (len(row_index), len(interface.unknowns))
+    # By columns, of which a subdomain has few: rows are those of all subdomains of a rank.
     return sparse.csc_matrix((values, (places, columns)), shape=shape)
 
 

@@ -23,23 +23,11 @@ COVERED = 1e-3
 
 
 @dataclass(frozen=True)
-class FarSide:
-    """The far mesh, in which near meshes take the place of some cells.
+class _FarSide:
+    """The far mesh, pixels, in which near meshes take the place of some cells: by number of their camera, 0 for none.
 
-    Attributes
-    ----------
-    whole : Mesh
-        The far mesh, pixels.
-    replaced_by : (n_cells,) array of int64
-        Number of the near camera whose mesh takes the place of each cell; 0 where the cell is kept.
-    tolerance : float
-        Distance below which points are one, pixels.
-    rest : Mesh
-        The cells that are kept.
-    kept_cells, node_ids : (rest.n_cells,) and (rest.n_nodes,) array of int64
-        Numbers of its cells and nodes in the whole far mesh.
-    edges : (n_edges, 2) array of int64
-        Its boundary, by its nodes.
+    ``rest`` is the mesh of the cells that are kept, whose cells and nodes have these numbers in the whole far mesh, and
+    whose boundary are ``edges``, (n_edges, 2), by its nodes; ``tolerance`` is the distance below which points are one.
     """
 
     whole: Mesh
@@ -52,21 +40,11 @@ class FarSide:
 
 
 @dataclass(frozen=True)
-class NearSide:
-    """A near mesh beside the rest of the far one.
+class _NearSide:
+    """A near mesh, far-field pixels, beside the rest of the far one; its camera is numbered from 1.
 
-    Attributes
-    ----------
-    number : int
-        Of its camera, from 1.
-    mesh : Mesh
-        Its cells, far-field pixels.
-    edges : (n_edges, 2) array of int64
-        Its boundary, by nodes.
-    cover, far_cover : array
-        Share of each of these edges that far edges cover, and of each far edge that these cover.
-    mortar : Mortar
-        How its nodes on the common line follow far nodes.
+    ``edges`` are its boundary, (n_edges, 2), by nodes; ``cover`` is the share of each that far edges cover,
+    ``far_cover`` that of each far edge that these cover. The mortar has its nodes on the common line follow far nodes.
     """
 
     number: int
@@ -83,25 +61,15 @@ class NearSide:
 
 
 @dataclass(frozen=True)
-class Contact:
-    """The far mesh and all near meshes beside it.
+class _Contact:
+    """What is left of the far mesh, the near meshes beside it, and the share of each far edge that near edges cover."""
 
-    Attributes
-    ----------
-    far : FarSide
-        What is left of the far mesh.
-    near : list of NearSide
-        In the order in which they were given.
-    far_cover : (n_edges,) array
-        Share of each far edge that near edges cover.
-    """
-
-    far: FarSide
-    near: list[NearSide]
+    far: _FarSide
+    near: list[_NearSide]
     far_cover: Array
 
 
-def _find_contact(far: Mesh, near: Mapping[int, Mesh]) -> Contact:
+def _find_contact(far: Mesh, near: Mapping[int, Mesh]) -> _Contact:
     """Find which far cells near meshes replace, and where they touch the others.
 
     What comes back is not checked yet for edges that do not follow each other. Raises InputError where near meshes
@@ -111,10 +79,10 @@ def _find_contact(far: Mesh, near: Mapping[int, Mesh]) -> Contact:
     tolerance = TOLERANCE * float(np.ptp(far.nodes, axis=0).max())
     kept_cells = np.flatnonzero(replaced_by == 0)
     rest, node_ids = far.create_submesh(kept_cells)
-    far_side = FarSide(far, replaced_by, tolerance, rest, kept_cells, node_ids, _boundary_edges(rest))
+    far_side = _FarSide(far, replaced_by, tolerance, rest, kept_cells, node_ids, _boundary_edges(rest))
     sides = [_find_near_side(far_side, number, mesh) for number, mesh in near.items()]
     far_cover = np.sum([side.far_cover for side in sides], axis=0)
-    return Contact(far_side, sides, np.asarray(far_cover, dtype=np.float64))
+    return _Contact(far_side, sides, np.asarray(far_cover, dtype=np.float64))
 
 
 def _find_replaced_cells(far: Mesh, near: Mapping[int, Mesh]) -> IntArray:
@@ -151,7 +119,7 @@ def _refuse_neighbours(far: Mesh, replaced_by: IntArray) -> None:
                          "element at least between them")
 
 
-def _find_near_side(far: FarSide, number: int, mesh: Mesh) -> NearSide:
+def _find_near_side(far: _FarSide, number: int, mesh: Mesh) -> _NearSide:
     edges = _boundary_edges(mesh)
     sides = Sides(far.rest.nodes, far.edges, mesh.nodes, edges, far.tolerance)
     overlaps = find_overlaps(sides)
@@ -159,7 +127,7 @@ def _find_near_side(far: FarSide, number: int, mesh: Mesh) -> NearSide:
         raise InputError(f"near, entry {number}: its mesh has no boundary in common with the far elements around it; "
                          "align its outline with edges of far elements")
     cover, far_cover = overlaps.measure_near_cover(len(edges)), overlaps.measure_far_cover(len(far.edges))
-    return NearSide(number, mesh, edges, cover, far_cover, integrate_mortar(sides, overlaps))
+    return _NearSide(number, mesh, edges, cover, far_cover, integrate_mortar(sides, overlaps))
 
 
 def _boundary_edges(mesh: Mesh) -> IntArray:
@@ -167,7 +135,7 @@ def _boundary_edges(mesh: Mesh) -> IntArray:
     return np.asarray(find_boundary_facets(mesh)[:, :2])
 
 
-def _check_contact(contact: Contact) -> None:
+def _check_contact(contact: _Contact) -> None:
     """Check that the outline of each near mesh follows far edges from node to node.
 
     Raises InputError where an outline cuts far cells, or an edge touches the other side only in part, or twice.
@@ -187,7 +155,7 @@ def _check_contact(contact: Contact) -> None:
                              "touches far elements in part only; let the common boundary end at nodes of both meshes")
 
 
-def _refuse_cut_cells(contact: Contact) -> None:
+def _refuse_cut_cells(contact: _Contact) -> None:
     """Raise InputError, with the far cells' numbers, where a near mesh's outline does not follow far edges."""
     far = contact.far
     beside_gap = _cells_beside_gap(contact)
@@ -206,7 +174,7 @@ def _refuse_cut_cells(contact: Contact) -> None:
         raise InputError(problems)
 
 
-def _find_cut_cells(far: FarSide, near: NearSide) -> IntArray:
+def _find_cut_cells(far: _FarSide, near: _NearSide) -> IntArray:
     """Kept far cells that hold points of a near edge which should touch nothing; numbers in the whole far mesh."""
     ends = near.mesh.nodes[near.free_edges]
     midpoints = ends.mean(axis=1)
@@ -215,7 +183,7 @@ def _find_cut_cells(far: FarSide, near: NearSide) -> IntArray:
     return far.kept_cells[found]
 
 
-def _cells_beside_gap(contact: Contact) -> IntArray:
+def _cells_beside_gap(contact: _Contact) -> IntArray:
     """Far cells at edges between a kept and a replaced cell that no near edge covers; sorted numbers."""
     far = contact.far
     facets = find_facets(far.whole)
@@ -295,7 +263,7 @@ class _Numbering:
     n_nodes: int
 
 
-def _number_nodes(contact: Contact) -> _Numbering:
+def _number_nodes(contact: _Contact) -> _Numbering:
     n_far = contact.far.rest.n_nodes
     of_mesh = [np.arange(n_far)]
     next_free = n_far
@@ -329,7 +297,7 @@ def _put_together(meshes: Sequence[Mesh], numbering: _Numbering) -> Mesh:
     return Mesh(nodes, np.concatenate(connectivity), offsets, types, node_sets, first.mapping)
 
 
-def _find_boundary(contact: Contact, numbering: _Numbering) -> IntArray:
+def _find_boundary(contact: _Contact, numbering: _Numbering) -> IntArray:
     """Sorted nodes on edges that touch no other mesh."""
     far_numbers, *near_numbers = numbering.of_mesh
     free_far_edges = contact.far.edges[contact.far_cover < COVERED]
@@ -339,7 +307,7 @@ def _find_boundary(contact: Contact, numbering: _Numbering) -> IntArray:
     return np.asarray(np.unique(np.concatenate(nodes)))
 
 
-def _weigh_nodes(contact: Contact, numbering: _Numbering) -> sparse.csr_matrix:
+def _weigh_nodes(contact: _Contact, numbering: _Numbering) -> sparse.csr_matrix:
     """Displacement of all nodes from that of the unknown ones."""
     n_free_near = numbering.n_unknown - contact.far.rest.n_nodes
     blocks = [sparse.identity(numbering.n_unknown, format="csr")]

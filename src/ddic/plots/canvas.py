@@ -271,8 +271,7 @@ def find_mesh_bounds(nodes: Array, margin: float = 0.03) -> Bounds:
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str,
-                   shown_as: Colormap | None = None) -> None:
+def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str, shown_as: Colormap | None = None) -> None:
     """Add a labelled colour bar as high as the axes, or higher where they are flat.
 
     ``shown_as`` are its colours where those of ``mappable`` are seen through something else.

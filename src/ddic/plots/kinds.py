@@ -1,7 +1,5 @@
 """Kinds of pictures, what can be asked of each, and what their files are called; without matplotlib."""
 
-from __future__ import annotations
-
 CURVES = "curves"
 KINDS = ("partition", "deformed", "displacement", "strain", "sigma", "bias", "residual", "signed-residual",
          "difference", "krylov", "opening", "near-far", "modes", "corrections", "line")

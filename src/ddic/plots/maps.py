@@ -87,10 +87,7 @@ class Preview:
         self.show(axes, size, cmap="gray", zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity)
 
     def show(self, axes: Axes, size: float, **style: Any) -> AxesImage:
-        """Show the pixels, their centres at integers, in a style as ``imshow`` takes it.
-
-        ``size`` is a pixel's in the axes' unit.
-        """
+        """Show the pixels, ``size`` in the axes' unit, their centres at integers, in a style of ``imshow``."""
         n_rows, n_columns = self.pixels.shape
         left = top = -0.5 * self.step * size
         right, bottom = (n_columns - 0.5) * self.step * size, (n_rows - 0.5) * self.step * size
@@ -252,9 +249,6 @@ def find_points_inside(points: Array, box: Bounds) -> BoolArray:
 
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
-NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")
-"""What of a tensor is drawn."""
-
 PANELS = ("xx", "yy", "xy")
 """What is drawn where nothing is asked for."""
 
@@ -271,7 +265,7 @@ class StrainChoice:
     measure : {"infinitesimal", "green-lagrange", "hencky"}
         The tensor.
     number : str or None
-        One of NUMBERS; None for a panel each of xx, yy and xy.
+        One of ``kinds.NUMBERS``; None for a panel each of xx, yy and xy.
     by_cell : bool
         As it was computed in the middle of cells, not as it was recovered at nodes.
     """
@@ -283,17 +277,14 @@ class StrainChoice:
 
 def draw_strain(result: Result, choice: StrainChoice, image: Preview | None = None, unit: LengthUnit = PIXELS,
                 scales: Sequence[ColourScale] = (OF_VALUES,)) -> Figure:
-    """Draw strain on the mesh at rest, in one panel or three, over the image where it is given.
-
-    ``scales`` are those of the panels, or one for all of them.
-    """
+    """Draw strain on the mesh at rest, over an image if given, in one panel or three; scales are theirs, or one."""
     panels = list_strain_panels(result, choice)
     return draw_values(result.mesh, panels, image, unit, scales if len(scales) > 1 else [*scales] * len(panels))
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
     """List what the panels of a strain map show, one or three."""
-    tensors = pick_tensors(result, choice)
+    tensors = _pick_tensors(result, choice)
     numbers = PANELS if choice.number is None else (choice.number,)
     symbol = "E" if choice.measure == "green-lagrange" else r"\varepsilon"
     where = ", by cell" if choice.by_cell else ""
@@ -301,11 +292,11 @@ def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
     for number in numbers:
         written = f"${symbol}_{{{SYMBOLS[number]}}}$"
         panels.append(Values(f"{NAMES[choice.measure]} {written}{where}", f"{written} [-]",
-                             pick_number(tensors, number), choice.by_cell))
+                             _pick_number(tensors, number), choice.by_cell))
     return panels
 
 
-def pick_tensors(result: Result, choice: StrainChoice) -> Array:
+def _pick_tensors(result: Result, choice: StrainChoice) -> Array:
     """Pick the strains xx, yy, xy, (n_nodes, 3) or (n_cells, 3); raises InputError where there are none at nodes."""
     if choice.by_cell:
         name = schema.STRAIN_INFINITESIMAL if choice.measure == "infinitesimal" else schema.STRAIN_GREEN_LAGRANGE
@@ -318,8 +309,8 @@ def pick_tensors(result: Result, choice: StrainChoice) -> Array:
     return schema.pick_in_the_plane(result.point_data[name])
 
 
-def pick_number(tensors: Array, number: str) -> Array:
-    """Pick a component, a principal value or the equivalent strain, one of NUMBERS, of tensors xx, yy, xy, (n, 3)."""
+def _pick_number(tensors: Array, number: str) -> Array:
+    """Pick a component, a principal value or the equivalent strain, of tensors xx, yy, xy, (n, 3)."""
     if number in PANELS:
         return tensors[:, PANELS.index(number)]
     if number == "von-mises":

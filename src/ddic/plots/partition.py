@@ -55,10 +55,7 @@ def draw_partition(result: Result, image: Preview | None = None, unit: LengthUni
 
 
 def choose_colours(mesh: Mesh, subdomain_ids: IntArray) -> IntArray:
-    """Choose a colour for each subdomain, another one than those of its neighbours as far as there are enough.
-
-    Rows of PALETTE, (largest subdomain + 1,).
-    """
+    """Choose colours unlike neighbours', if there are enough, by subdomain: rows of PALETTE, (largest + 1,)."""
     n = int(subdomain_ids.max()) + 1
     of_corners = np.repeat(subdomain_ids, np.diff(mesh.offsets))
     has_node = csr_array((np.ones(len(of_corners)), (of_corners, mesh.connectivity)), shape=(n, mesh.n_nodes))

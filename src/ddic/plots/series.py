@@ -30,10 +30,7 @@ SHARE_ABOVE = 1.15
 
 
 def draw_time_curves(history: SeriesHistory, name: str, unit: LengthUnit = PIXELS) -> Figure:
-    """Draw displacement, strain, residual, noise floor and iterations against time, a panel each.
-
-    Frames that were not measured are marked.
-    """
+    """Draw displacement, strain, residual, noise floor and iterations over time; unmeasured frames are marked."""
     figure = Figure(figsize=PAGE_INCHES, layout="tight")
     panels = figure.subplots(5, 1, sharex=True)
     _draw_displacement(panels[0], history, unit)

@@ -61,11 +61,8 @@ class DisplacementChain:
         return float(np.max([self.spacing, self.shear, self.longitudinal]))
 
     def keep_by_elements(self, wave_number: Array) -> Array:
-        """Find the share of a wave's amplitude that linear elements follow, fitted by least squares.
-
-        ``wave_number`` is along the wave, rad/px; the share is 1 for long waves.
-        """
-        return np.asarray(evaluate_sinc(0.5 * wave_number * self.spacing)**4 / self.weigh_shapes(wave_number))
+        """Find the share of a wave, its number in rad/px, that linear elements follow; 1 for long waves."""
+        return np.asarray(_evaluate_sinc(0.5 * wave_number * self.spacing)**4 / self.weigh_shapes(wave_number))
 
     def keep_by_regularization(self, wave_number: Array, half: float) -> Array:
         """Find the share of a wave's amplitude that the regularization leaves; 1 for long waves.
@@ -84,10 +81,7 @@ class DisplacementChain:
         return np.asarray((2.0 + np.cos(wave_number * self.spacing)) / 3.0)
 
     def make_waves(self, length: float) -> Array:
-        """List wave vectors (n, 2), a regular grid, rad/px, over which the noise of something of some length is summed.
-
-        ``length`` is of what asks for the displacement, pixels.
-        """
+        """List wave vectors (n, 2), a regular grid, rad/px, over which noise of what has some length, px, is summed."""
         step = 2.0 * np.pi / (DOMAINS * max(length, 2.0 * self.longest))
         highest = min(np.pi / self.spacing, 0.5 * N_WAVES * step)
         n = int(np.ceil(2.0 * highest / step))
@@ -95,11 +89,7 @@ class DisplacementChain:
         return np.column_stack([grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij")])
 
     def predict_noise(self, waves: Array) -> Array:
-        """Predict how unit noise of a component of the nodes' displacements is spread over waves.
-
-        Covariance (n, 2, 2) of the two components in each wave of ``make_waves``; the variance of a component is the
-        sum.
-        """
+        """Predict the covariance, (n, 2, 2), of unit noise of the nodes in each wave of ``make_waves``; they add up."""
         return np.asarray(self._shape_noise(waves) * (_find_cell(waves) / self._total))
 
     @cached_property
@@ -120,7 +110,7 @@ class DisplacementChain:
         return np.asarray(longitudinal[:, None, None] * lengthwise + shear[:, None, None] * across)
 
 
-def evaluate_sinc(x: Array) -> Array:
+def _evaluate_sinc(x: Array) -> Array:
     """Evaluate sin x / x, 1 at 0, of radians."""
     return np.asarray(np.sinc(x / np.pi))
 
@@ -159,41 +149,31 @@ SMALL = 1e-3
 """Radians below which the slope's answer is written as a series: its quotient would lose its digits."""
 
 
-def evaluate_displacement_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
-    """Evaluate what is left of waves (n, 2), rad/px, in the displacement of a point, a line or a strain gauge.
-
-    Share of the nodes' amplitude, (n,).
-    """
+def _evaluate_displacement_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
+    """What is left, (n,), of waves (n, 2), rad/px, in the displacement of a point, a line or a strain gauge."""
     if not isinstance(probe, StrainGauge):
         return np.ones(len(waves))
     along, across = _turn(probe, waves)
-    mean = evaluate_sinc(0.5 * along * probe.length) * evaluate_sinc(0.5 * across * probe.across)
+    mean = _evaluate_sinc(0.5 * along * probe.length) * _evaluate_sinc(0.5 * across * probe.across)
     return np.asarray(_interpolate(chain, waves) * mean)
 
 
-def evaluate_strain_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
-    """Evaluate the slope that a probe measures of a wave, along itself; along x of points and lines.
-
-    Amplitude (n,) of the measured slope, without the factor i, of waves (n, 2), rad/px, whose nodes have the amplitude
-    1; 1/px.
-    """
+def _evaluate_strain_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
+    """The slope, (n,), 1/px without the factor i, that a probe measures along itself, or x, of waves (n, 2), rad/px."""
     if isinstance(probe, PointProbe | LineProbe):
         # Recovered from the cells around a node: a central difference.
         return np.asarray(np.sin(waves[:, 0] * chain.spacing) / chain.spacing)
     along, across = _turn(probe, waves)
     half = 0.5 * along * probe.length
     if isinstance(probe, Extensometer):
-        return along * evaluate_sinc(half)
-    return along * _interpolate(chain, waves) * _fit_slope(half) * evaluate_sinc(0.5 * across * probe.across)
+        return along * _evaluate_sinc(half)
+    return along * _interpolate(chain, waves) * _fit_slope(half) * _evaluate_sinc(0.5 * across * probe.across)
 
 
-def evaluate_strain_power(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
-    """Evaluate the mean square of the slope that a probe measures of noise, wave by wave.
-
-    Of waves (n, 2), rad/px, whose nodes have the mean square 1; (n,), 1/px^2.
-    """
+def _evaluate_strain_power(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
+    """The mean square of the slope, (n,), 1/px^2, that a probe measures of noise of mean square 1, wave by wave."""
     if not isinstance(probe, Extensometer):
-        return np.asarray(evaluate_strain_response(probe, chain, waves)**2)
+        return np.asarray(_evaluate_strain_response(probe, chain, waves)**2)
     # Ends lie anywhere in their cells: their squares are means over a cell.
     along, _ = _turn(probe, waves)
     square = chain.weigh_shapes(waves[:, 0]) * chain.weigh_shapes(waves[:, 1])
@@ -210,7 +190,7 @@ def _turn(probe: Extensometer | StrainGauge, waves: Array) -> tuple[Array, Array
 def _interpolate(chain: DisplacementChain, waves: Array) -> Array:
     """Mean amplitude between nodes of a wave that nodes have with amplitude 1, by bilinear shape functions."""
     x, y = 0.5 * chain.spacing * waves.T
-    return np.asarray(evaluate_sinc(x)**2 * evaluate_sinc(y)**2)
+    return np.asarray(_evaluate_sinc(x)**2 * _evaluate_sinc(y)**2)
 
 
 def _fit_slope(half: Array) -> Array:
@@ -298,46 +278,37 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
     strain_noise = of_strain if is_local else level * find_strain_noise(probe, chain)
     of_displacement = math.nan, math.nan
     if not isinstance(probe, Extensometer):
-        of_displacement = level * find_displacement_noise(probe, chain), find_displacement_resolution(probe, chain)
+        of_displacement = level * _find_displacement_noise(probe, chain), find_displacement_resolution(probe, chain)
     return Metrology(*of_displacement, strain_noise, find_strain_resolution(probe, chain), "; ".join(notes))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
-def find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
-    """Find the noise of the displacement of a point, a line or a strain gauge.
-
-    Standard deviation of a component, relative to that of the nodes.
-    """
+def _find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
+    """Noise of a component of the displacement of a point, a line or a gauge, relative to that of the nodes."""
     waves = chain.make_waves(_find_size(probe))
-    response = evaluate_displacement_response(probe, chain, waves)
+    response = _evaluate_displacement_response(probe, chain, waves)
     return float(np.sqrt(0.5 * np.einsum("n,nii->", response**2, chain.predict_noise(waves))))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_strain_noise(probe: Probe, chain: DisplacementChain) -> float:
-    """Find the noise of a probe's strain.
-
-    Standard deviation of the strain along the probe, or of xx, relative to that of the nodes' displacements, 1/px.
-    """
+    """Find the noise of a probe's strain, along it or xx, relative to that of the nodes' displacements, 1/px."""
     waves = chain.make_waves(_find_size(probe))
     direction = _find_axis(probe)
     along = np.einsum("nij,i,j->n", chain.predict_noise(waves), direction, direction)
-    return float(np.sqrt((evaluate_strain_power(probe, chain, waves) * along).sum()))
+    return float(np.sqrt((_evaluate_strain_power(probe, chain, waves) * along).sum()))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_displacement_resolution(probe: Probe, chain: DisplacementChain) -> float:
-    """Find the wavelength of which 90 % are left in the displacement of a point, a line or a strain gauge.
-
-    Of a wave along the probe, or along x, pixels.
-    """
-    return _find_wavelength(probe, chain, lambda waves, _: evaluate_displacement_response(probe, chain, waves))
+    """Find the wavelength, along a probe or x, of which 90 % are left in its displacement, pixels."""
+    return _find_wavelength(probe, chain, lambda waves, _: _evaluate_displacement_response(probe, chain, waves))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
 def find_strain_resolution(probe: Probe, chain: DisplacementChain) -> float:
     """Find the wavelength, along the probe or along x, of which 90 % are left in a probe's strain, pixels."""
-    return _find_wavelength(probe, chain, lambda waves, k: evaluate_strain_response(probe, chain, waves) / k)
+    return _find_wavelength(probe, chain, lambda waves, k: _evaluate_strain_response(probe, chain, waves) / k)
 
 
 def _find_wavelength(probe: Probe, chain: DisplacementChain, respond: Callable[[Array, float], Array]) -> float:

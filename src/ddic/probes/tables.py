@@ -17,16 +17,7 @@ from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
 from ddic.io.result_reader import Result, crop_result
 from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
-from ddic.probes.probes import (
-    KINDS,
-    LineProbe,
-    Measure,
-    PointProbe,
-    Probe,
-    Reading,
-    list_samples,
-    measure_probe,
-)
+from ddic.probes.probes import KINDS, LineProbe, Measure, PointProbe, Probe, Reading, list_samples, measure_probe
 
 COLUMNS = (
     ("time", ""), ("result", ""), ("probe", ""), ("kind", ""),

@@ -241,10 +241,10 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
     pixels of the reference, on displacements of nodes in its image; ``wavelength`` is the cut-off wavelength, pixels,
     infinite where eta is given, 0 without regularization; ``assembly`` has the systems of the same subdomains.
 
-    M is new where more than ``bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained more than
-    ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``; or where a
-    cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where other unknowns have
-    no pixels: they are in equilibrium, or, without regularization, their cells are elastic.
+    M is new where more than ``_bound_changes`` of a subdomain's pixels have come or gone, or a cell has gained more
+    than ``GAINED_SHARE``, or an unknown whose equilibrium is not controlled has lost more than ``LOST_SHARE``; or where
+    a cell has turned or stretched by more than ``LARGE`` since, in a frame that asks for it; or where other unknowns
+    have no pixels: they are in equilibrium, or, without regularization, their cells are elastic.
     """
     before, of_all_pixels = assembled
     team, subdomains, views, is_regularized = model.team, model.subdomains, model.views, wavelength > 0
@@ -257,7 +257,7 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
         # What the reference images do not show either is held as the factor of the reference found.
         unseen = [is_unseen & find_held(subdomain, then)
                   for is_unseen, subdomain, then in zip(unseen, subdomains, in_reference, strict=True)]
-    free = find_free_unknowns(team, subdomains, unseen)
+    free = _find_free_unknowns(team, subdomains, unseen)
     filled, angle = None, 0.0
     cells = [np.zeros(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains]
     if len(free) and not is_regularized:
@@ -272,7 +272,7 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
 
     lost, turned, left = [], [], []
     for place, subdomain in enumerate(subdomains):
-        most = bound_changes(int(np.sum(in_reference[place])), wavelength)
+        most = _bound_changes(int(np.sum(in_reference[place])), wavelength)
         lost.append(not _are_pixels_kept(subdomain, before.n_pixels[place], n_pixels[place], most))
         turns = map(measure_deformation, before.inverse_deformations[place], now.inverse_deformations[place])
         turned.append(max(turns, default=0.0) > LARGE)
@@ -317,7 +317,7 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
     return Renewal(systems, assembled_from, notes, filled)
 
 
-def bound_changes(n_pixels: int, wavelength: float) -> float:
+def _bound_changes(n_pixels: int, wavelength: float) -> float:
     """Give the largest number of pixels that may come or go without a renewal.
 
     ``n_pixels`` are those of the subdomain in the reference images, ``wavelength`` is as ``find_renewal`` takes it.
@@ -353,10 +353,7 @@ def _are_pixels_kept(subdomain: Subdomain, before: Sequence[IntArray], now: Sequ
 
 
 def _assemble_with_rest(shown: FrameView, of_all: sparse.csr_matrix, *, is_blurred: bool) -> sparse.csr_matrix:
-    """M of the pixels of a view that are shown, with a share of the others', which mechanics fill.
-
-    ``of_all`` is M of all pixels of the reference image.
-    """
+    """M of a view's shown pixels, with a share of that of all pixels, ``of_all``, which mechanics fill."""
     if is_blurred or shown.correlation.inverse_deformations is not None:
         return (1.0 - HELD_SHARE) * shown.assemble_hessian() + HELD_SHARE * of_all
     # As many pixels of a cell are the same ones with the same gradients: most often a few cells of many have others.
@@ -432,10 +429,10 @@ def find_displaced_nodes(subdomain: Subdomain, unknowns: BoolArray) -> BoolArray
 def find_unseen_unknowns(team: Team, subdomains: Sequence[Subdomain], n_pixels: ByView[IntArray]) -> IntArray:
     """Find the same where cells of each view have so many pixels that count, (n_cells,); collective."""
     unseen = [~find_held(subdomain, counts) for subdomain, counts in zip(subdomains, n_pixels, strict=True)]
-    return find_free_unknowns(team, subdomains, unseen)
+    return _find_free_unknowns(team, subdomains, unseen)
 
 
-def find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[BoolArray]) -> IntArray:
+def _find_free_unknowns(team: Team, subdomains: Sequence[Subdomain], unseen: Sequence[BoolArray]) -> IntArray:
     """Find the unknowns that no pixel holds in any subdomain: their sorted numbers in the whole problem; collective.
 
     ``unseen``, (n_field,), are those without pixels in each owned subdomain.

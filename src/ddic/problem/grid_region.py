@@ -17,8 +17,7 @@ from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import BOUNDARY, is_in_box
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.partition.split import NODE_PIXELS
-from ddic.partition.split_grid import split_grid, split_grid_by_blocks
+from ddic.partition.split import NODE_PIXELS, split_grid, split_grid_by_blocks
 from ddic.partition.subdomain import Subdomain, begin_subdomain
 from ddic.problem.region_mesh import Region, RegionSizes
 
@@ -61,10 +60,7 @@ class GridRegion:
                            self._measure_work(whole), is_plain=True)
 
     def split(self, n_ranks: int) -> list[GridBlock]:
-        """Split the region as the case says; as many subdomains as ranks where it gives no number.
-
-        Raises InputError where there are not enough cells.
-        """
+        """Split as the case says, by default into as many as ranks; InputError where there are not enough cells."""
         solver = self.inputs.case.solver
         if solver.method == "monolithic":
             return split_grid(self.grid, 1)
@@ -112,10 +108,7 @@ class GridRegion:
 
 
 def find_grid_region(inputs: Inputs) -> GridRegion | None:
-    """Find the rectangle of Q4 whose nodes' displacements are measured; None where the mesh is another one.
-
-    Raises InputError where it lies outside the image.
-    """
+    """Find the rectangle of Q4 whose nodes are measured, None if it is another mesh; InputError outside the image."""
     is_given = inputs.given_mesh is not None or inputs.updated is not None
     if is_given or inputs.choose_kinematics is not None or not is_plain_grid(inputs.case):
         return None

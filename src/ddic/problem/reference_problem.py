@@ -33,14 +33,7 @@ from ddic.partition.split import find_connected_pieces, merge_blank
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.choose_solver import choose_solver
 from ddic.problem.grid_region import GridRegion, find_grid_region
-from ddic.problem.region_mesh import (
-    Region,
-    RegionMesh,
-    build_region_mesh,
-    finish_region,
-    scatter_region,
-    split_region,
-)
+from ddic.problem.region_mesh import Region, RegionMesh, build_region_mesh, finish_region, scatter_region, split_region
 from ddic.solvers.petsc import describe_missing_packages
 
 T = TypeVar("T")
@@ -130,7 +123,7 @@ def prepare_reference(team: Team, inputs: Inputs, whole: WholeMesh, clock: Phase
         # Without regularization a blank part is singular whatever the partition, and the factorisation says where.
         return problem, found
     with clock.phase(Phase.ASSEMBLE):
-        joined = join_blank_subdomains(team, whole, problem)
+        joined = _join_blank_subdomains(team, whole, problem)
     if joined is not None:
         region_mesh, parts, note = joined
         problem = _read_and_assemble(team, inputs, region_mesh, parts, clock, (note,))
@@ -160,8 +153,8 @@ def assemble_hessians(team: Team, views: Iterable[Sequence[View]]) -> Hessians:
     return team.together(lambda: ByView([view.assemble_hessian() for view in of_subdomain] for of_subdomain in views))
 
 
-def join_blank_subdomains(team: Team, whole: WholeMesh,
-                          problem: ReferenceProblem) -> tuple[RegionMesh | None, IntArray | None, str] | None:
+def _join_blank_subdomains(team: Team, whole: WholeMesh,
+                           problem: ReferenceProblem) -> tuple[RegionMesh | None, IntArray | None, str] | None:
     """Merge subdomains, or loose pieces of them, without texture with neighbours of the same camera; collective.
 
     Gives the whole mesh and the new subdomain of each cell, (n_cells,), of which none is blank, both on rank 0, and

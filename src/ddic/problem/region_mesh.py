@@ -47,21 +47,12 @@ without, a third of 6-px elements, follow others near by."""
 
 
 @dataclass(frozen=True, eq=False)
-class CutRegion:
-    """A mesh that discontinuities cut, with its unknowns.
+class _CutRegion:
+    """A mesh that discontinuities cut, with its unknowns and the camera that measures each whole cell.
 
-    Attributes
-    ----------
-    whole : Mesh
-        The mesh before it was cut.
-    sides : CutSides
-        The mesh, cut, with unknowns on both sides of the lines.
-    cameras : (whole.n_cells,) array of int64
-        Camera that measures each cell.
-    kinematics : EnrichedRegion
-        The same unknowns and those of tip functions, with small cells about the tips.
-    cell_of : (kinematics.mesh.n_cells,) array of int64
-        Cell of the whole mesh that each cell is, or lies in.
+    ``sides`` is the cut mesh with unknowns on both sides of the lines, ``kinematics`` the same with those of tip
+    functions and small cells about the tips; ``cell_of`` is the whole mesh's cell that each of its cells is, or lies
+    in.
     """
 
     whole: Mesh
@@ -114,7 +105,7 @@ def list_discontinuities(case: Case) -> Discontinuities:
                            tuple(section.opening for section in known))
 
 
-def cut_region(inputs: Inputs, mesh: Mesh, labels: IntArray) -> CutRegion | None:
+def _cut_region(inputs: Inputs, mesh: Mesh, labels: IntArray) -> _CutRegion | None:
     """Cut a mesh by the case's discontinuities; None where there are none.
 
     ``labels``, (n_cells,), give the camera that measures each cell. Cells of a near camera whose pixels do not tell
@@ -122,7 +113,7 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: IntArray) -> CutRegion | None
     element from side to side.
     """
     discontinuities = list_discontinuities(inputs.case)
-    if not discontinuities.n_lines:
+    if not discontinuities.lines:
         return None
     check_lines(inputs.case, mesh)
     cut, patch = cut_by_lines(inputs.case, mesh)
@@ -136,8 +127,8 @@ def cut_region(inputs: Inputs, mesh: Mesh, labels: IntArray) -> CutRegion | None
             break
         labels = kept
     if patch is None:
-        return CutRegion(mesh, sides, labels, sides.kinematics, cut.cell_of)
-    return CutRegion(mesh, sides, labels, *enrich_at_tips(cut, sides.kinematics, patch))
+        return _CutRegion(mesh, sides, labels, sides.kinematics, cut.cell_of)
+    return _CutRegion(mesh, sides, labels, *enrich_at_tips(cut, sides.kinematics, patch))
 
 
 def cut_by_lines(case: Case, mesh: Mesh) -> tuple[CutMesh, TipPatch | None]:
@@ -153,10 +144,7 @@ def list_tip_functions(case: Case) -> list[bool]:
 
 
 def _weigh_corners(cut: CutMesh, measured: Sequence[MeasuredCells], degree: int) -> Array:
-    """How firmly the pixels of cells hold their nodes, (len(connectivity),).
-
-    In square pixels of the first camera, so that cameras of different magnification compare.
-    """
+    """How firmly pixels of cells hold their nodes, (len(connectivity),), in square pixels of the first camera."""
     mesh = cut.mesh
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     beside = cut.find_cells_at_phantoms()
@@ -299,7 +287,7 @@ class RegionMesh:
     interior : (n_nodes,) array of bool
         Nodes inside the mesh around which the first camera measures every cell: there texture is weighed against
         mechanics.
-    discontinuous : CutRegion, optional
+    discontinuous : _CutRegion, optional
         How discontinuities cut the mesh; None where there are none.
     """
 
@@ -311,7 +299,7 @@ class RegionMesh:
     measured: list[MeasuredCells]
     controlled: BoolArray
     interior: BoolArray
-    discontinuous: CutRegion | None = None
+    discontinuous: _CutRegion | None = None
 
     @property
     def mesh(self) -> Mesh:
@@ -354,7 +342,7 @@ def build_region_mesh(inputs: Inputs) -> RegionMesh:
     boundary = find_boundary_nodes(mesh) if tying is None else tying.boundary
     # Boxes and sides are meant in the first reference image.
     in_first = mesh if inputs.updated is None else replace(mesh, nodes=inputs.updated.nodes)
-    region = cut_region(inputs, mesh, labels)
+    region = _cut_region(inputs, mesh, labels)
     if region is None:
         kinematics, interior = _choose_kinematics(inputs, mesh, tying), np.ones(mesh.n_nodes, dtype=bool)
         measured = seen = collect_measured_cells(cameras, mesh, labels)
@@ -407,7 +395,7 @@ def _split_whole(solver: SolverSection, mesh: Mesh, labels: IntArray, costs: Arr
     return keep_cameras_apart(parts, labels) if labels.any() else parts
 
 
-def _split_cut(region_mesh: RegionMesh, region: CutRegion, n_subdomains: int) -> IntArray:
+def _split_cut(region_mesh: RegionMesh, region: _CutRegion, n_subdomains: int) -> IntArray:
     """Subdomain of each cell of a cut mesh: the mesh is split before it is cut, so that parts of a cell stay together.
 
     What opens along or across the line only is determined by what lies on both sides of it.

@@ -10,11 +10,7 @@ import numpy as np
 from ddic.arrays import Array
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, as_collective
-from ddic.functionals.correlation import (
-    LARGE_SHARE,
-    Residual,
-    find_large_gradients,
-)
+from ddic.functionals.correlation import LARGE_SHARE, Residual, find_large_gradients
 from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums, measure_deviation
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur
@@ -157,10 +153,7 @@ class ResidualModel:
         return b, evaluation.grey
 
     def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
-        """Measure a correction ``dq`` of unknowns ``q`` on displacements of nodes; collective.
-
-        ``tolerances`` say from which correction on a node is slow.
-        """
+        """Measure a correction of q on displacements of nodes, slow ones by the tolerances; collective."""
         return measure_correction(dq, q, self.weigh_nodes(), tolerances.largest)
 
     def weigh_nodes(self) -> list[Array] | None:
@@ -210,10 +203,7 @@ def is_deformation_large(team: Team, views: ByView[FrameView], q: Sequence[Array
 
 
 def open_frame_views(case: Case, frame: Frame, views: ByView[View]) -> ByView[FrameView]:
-    """Look at a frame; its windows are read when unknowns say where.
-
-    Views that share a window of the reference share one of the frame.
-    """
+    """Look at a frame; views that share a window of the reference share one of it, read when unknowns say where."""
     threads = Threads(case.solver.threads)
     windows: dict[tuple[int, int], DeformedSubImage] = {}
     for view in views.flat:

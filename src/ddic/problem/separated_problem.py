@@ -22,9 +22,8 @@ from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team, require_held
 from ddic.problem.region_mesh import build_material, describe_cut_off
 from ddic.problem.weighted_problem import ProblemSize
-from ddic.separated.band_sums import divide_rows
 from ddic.separated.corrections import OF_GAP, OF_TIKHONOV, Regularization, Scheme, StoppingRules
-from ddic.separated.field import LineElements
+from ddic.separated.field import LineElements, divide_rows
 from ddic.separated.pixel_bands import FramePixels, ReferenceBands, count_usable, cut_bands
 from ddic.separated.separated_regularization import (
     ControlledLines,
@@ -134,10 +133,7 @@ def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -
 
 
 def choose_controlled_lines(section: RegularizationSection, rectangle: Rectangle) -> ControlledLines:
-    """Choose the lines on which equilibrium is imposed: all but the sides that the case names.
-
-    Raises InputError where it names something other than sides.
-    """
+    """Choose the lines on which equilibrium is imposed: all but sides that the case names; InputError for others."""
     lines = ControlledLines(np.ones(rectangle.along_x.n_nodes, dtype=bool),
                             np.ones(rectangle.along_y.n_nodes, dtype=bool))
     ends: dict[str, tuple[BoolArray, int]] = {"left": (lines.x, 0), "right": (lines.x, -1),
@@ -218,10 +214,10 @@ def prepare_separated_problem(team: Team, inputs: Inputs, clock: PhaseClock) -> 
     """Read the reference image, spread over ranks, and find eta; collective, raises InputError on all ranks."""
     rectangle, case = team.together(lambda: _choose_rectangle(inputs)), inputs.case
     with clock.phase(Phase.READ):
-        reference = read_reference_pixels(team, inputs, rectangle)
+        reference = _read_reference_pixels(team, inputs, rectangle)
     with clock.phase(Phase.ASSEMBLE):
-        regularization = build_regularization(case.regularization, reference, rectangle)
-        size = measure_separated_size(team, inputs, reference, regularization)
+        regularization = _build_regularization(case.regularization, reference, rectangle)
+        size = _measure_separated_size(team, inputs, reference, regularization)
     section = require_held(case.pgd)
     scheme = Scheme(section.max_sweeps, section.stagnation, section.update, case.correlation.correction_of_start)
     rules = StoppingRules(section.tolerance, section.rms_tolerance, section.max_corrections, section.stop_at_noise)
@@ -238,11 +234,8 @@ def _choose_rectangle(inputs: Inputs) -> Rectangle:
     return rectangle
 
 
-def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferenceBands:
-    """Read the rows of the reference image that this rank owns; collective.
-
-    Raises InputError on all ranks, where an image cannot be read or no pixel counts.
-    """
+def _read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> ReferenceBands:
+    """Read this rank's rows of the reference image; collective, InputError on all ranks where no pixel counts."""
     source, degree = inputs.cameras[0].reference, inputs.case.correlation.spline_degree
     all_bands = divide_rows(rectangle.along_y)
     # All ranks have about as many.
@@ -265,8 +258,8 @@ def read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> R
     return reference
 
 
-def build_regularization(section: RegularizationSection | None, reference: ReferenceBands,
-                         rectangle: Rectangle) -> Regularization | None:
+def _build_regularization(section: RegularizationSection | None, reference: ReferenceBands,
+                          rectangle: Rectangle) -> Regularization | None:
     """Build the regularisation, None where the case asks for none, and find its weight; collective."""
     if section is None:
         return None
@@ -291,8 +284,8 @@ def build_regularization(section: RegularizationSection | None, reference: Refer
     return Regularization(weighted, weight, per_wave / wavelength)
 
 
-def measure_separated_size(team: Team, inputs: Inputs, reference: ReferenceBands,
-                           regularization: Regularization | None) -> ProblemSize:
+def _measure_separated_size(team: Team, inputs: Inputs, reference: ReferenceBands,
+                            regularization: Regularization | None) -> ProblemSize:
     """Count what is about to be measured; collective. Unknowns are those of the Q4 elements between the same lines."""
     n_x, n_y = reference.along_x.n_nodes, reference.along_y.n_nodes
     own = [(float(np.nanmin(band.values)), float(np.nanmax(band.values))) for band in reference.bands

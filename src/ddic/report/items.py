@@ -172,10 +172,7 @@ def _parse_size(gathered: Gathered) -> tuple[int, int] | None:
 
 
 def _list_images(gathered: Gathered) -> Items:
-    """List sizes, grey levels, features and noise of the images, and what was done to them.
-
-    They are measured where the images are still there.
-    """
+    """Sizes, grey levels, features and noise of the images, where they still are, and what was done to them."""
     section, shape = gathered.get_section("images"), _parse_size(gathered)
     levels = [(f"Grey levels, {name}", _describe_levels(gathered.images.get(name)))
               for name in ("reference", "deformed")]

@@ -101,7 +101,7 @@ def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, e
     team, subdomains, step = problem.team, problem.reference.subdomains, problem.solver.step
     case, is_regularized = problem.reference.inputs.case, problem.solver.assembly.eta > 0
     noise = find_image_noise(problem, model, evaluation, q)
-    bias = solve_for_bias(model, subdomains, step, q) if is_regularized else None
+    bias = _solve_for_bias(model, subdomains, step, q) if is_regularized else None
     of_forces: ForceNoise | None = None
     if problem.noise or noise.origin != OF_RESIDUAL:
         forces = prepare_noise_forces(model, evaluation, q, noise.sigma, case)
@@ -160,7 +160,7 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
             for of_subdomain in squares]
 
 
-def solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep, q: Field) -> Field:
+def _solve_for_bias(model: ResidualModel, subdomains: Sequence[Subdomain], step: LinearStep, q: Field) -> Field:
     """Estimate what regularization has added to a field; collective.
 
     Of a true field q the images of no noise tell A^-1 M q, which is off by -H q, H = A^-1 eta Kbar^T Kbar. The measured

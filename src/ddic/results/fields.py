@@ -83,19 +83,12 @@ def convert_to_six_components(tensor: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnMesh:
-    """Cells and points of a subdomain as they are written.
+class _DrawnMesh:
+    """Cells and points of a subdomain as they are written, parts of cut cells as triangles about their first corner.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Whole cells as they are, each part of a cut one as triangles about its first corner.
-    node_ids : (mesh.n_nodes,) array of int64
-        Numbers of its points over the whole region: those of nodes, then those of parts' corners.
-    cells : (mesh.n_cells,) array of int64
-        The subdomain's cell that each cell is, or is a part of.
-    weights : (mesh.n_nodes, n_nodes) csr_matrix or None
-        Values at the points from those at the subdomain's nodes; None where they are the same.
+    ``node_ids`` number its points over the whole region, those of nodes before parts' corners; ``cells`` are the
+    subdomain's cells that its cells are, or are parts of; ``weights``, (mesh.n_nodes, n_nodes), give values at the
+    points from those at the subdomain's nodes, None where they are the same.
     """
 
     mesh: Mesh
@@ -108,14 +101,14 @@ class DrawnMesh:
         return values if self.weights is None else np.asarray(self.weights @ values)
 
 
-def draw_mesh(subdomain: Subdomain, n_nodes: int) -> DrawnMesh:
+def _draw_mesh(subdomain: Subdomain, n_nodes: int) -> _DrawnMesh:
     """Draw a subdomain's mesh, perhaps with parts of cut cells: the mesh itself where no cell is cut.
 
     ``n_nodes`` are those of the whole region's mesh, after which corners of parts are numbered.
     """
     mesh, parts = subdomain.mesh, subdomain.mesh.parts
     if parts is None or not parts.n_parts:
-        return DrawnMesh(mesh, subdomain.node_ids, np.arange(mesh.n_cells))
+        return _DrawnMesh(mesh, subdomain.node_ids, np.arange(mesh.n_cells))
     whole = np.setdiff1d(np.arange(mesh.n_cells), parts.cells)
     whole_mesh, kept = mesh.create_submesh(whole)
     n_corners = np.diff(parts.offsets)
@@ -135,7 +128,7 @@ def draw_mesh(subdomain: Subdomain, n_nodes: int) -> DrawnMesh:
     cells = np.concatenate([whole, parts.cells[part_of_triangle]])
     at_nodes = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), kept)), (len(kept), mesh.n_nodes))
     weights = sparse.vstack([at_nodes, _weigh_corners(mesh, parts.cells[part_of_corner], parts.corners)])
-    return DrawnMesh(drawn, node_ids, cells, weights.tocsr())
+    return _DrawnMesh(drawn, node_ids, cells, weights.tocsr())
 
 
 def _weigh_corners(mesh: Mesh, cells: IntArray, corners: Array) -> sparse.csr_matrix:
@@ -154,7 +147,7 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     """Write the mesh and the fields of all subdomains; collective, the writer is rank 0's."""
     team, images = measurement.team, measurement.inputs.case.images
     n_nodes = measurement.region.n_nodes
-    drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
+    drawn = [_draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
     counts = [PieceCounts(1, piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity)) for piece in drawn]
     mine = np.array(add_counts(counts))
     before, total = (PieceCounts(*(int(n) for n in found)) for found in (team.sum_below(mine), team.sum(mine)))
@@ -189,12 +182,9 @@ def _group(counts: Sequence[int]) -> Iterator[range]:
             first, n_points = number, 0
 
 
-def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
+def _make_batches(measurement: Measurement, drawn: Sequence[_DrawnMesh],
                   gradients: Sequence[Array]) -> Iterator[tuple[range, Piece]]:
-    """Pieces of owned subdomains that follow each other: which, and joined to one.
-
-    ``gradients`` are those of the displacement at their nodes, (n_nodes, 2, 2) each.
-    """
+    """Pieces of owned subdomains in a row, and joined to one; ``gradients`` at nodes are (n_nodes, 2, 2) each."""
     displacements, subdomains = measurement.displacements, measurement.subdomains
     for numbers in _group([piece.mesh.n_nodes for piece in drawn]):
         joined = join_pieces([_make_piece(measurement, drawn[number], number, displacements[number])
@@ -212,14 +202,14 @@ def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
                                cell_data={**joined.cell_data, **on_cells})
 
 
-def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> Piece:
+def _make_piece(measurement: Measurement, drawn: _DrawnMesh, number: int, u: Array) -> Piece:
     """The piece of an owned subdomain, given by its place, without the strains of its field."""
     mesh = drawn.mesh
     return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, drawn, number, u),
                  {name: values[drawn.cells] for name, values in _cell_data(measurement, number).items()})
 
 
-def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> dict[str, NDArray[Any]]:
+def _point_data(measurement: Measurement, drawn: _DrawnMesh, number: int, u: Array) -> dict[str, NDArray[Any]]:
     """Fields at the points of an owned subdomain, given by its place, but for strains."""
     pixel_size, uncertainty = measurement.inputs.case.images.pixel_size, measurement.uncertainty
     vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))

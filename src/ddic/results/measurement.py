@@ -12,7 +12,7 @@ import numpy as np
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
-from ddic.errors import ConvergenceError, DdicError, as_collective, is_collective, list_first
+from ddic.errors import ConvergenceError, DdicError, as_collective, is_collective, list_first, require_collective
 from ddic.functionals.grey_statistics import GreyCorrection
 from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
@@ -256,7 +256,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
                               excluded, unmeasured, solved.seen.whole, evidence, solved.solution.stop, failure,
                               problem.solver.method, problem.solver.preconditioner, uncertainty)
     are_used = [~find_excluded(of_views[0]) for of_views in excluded.cells]
-    inverted = describe_inverted_cells(team, measurement.subdomains, measurement.displacements, are_used)
+    inverted = _describe_inverted_cells(team, measurement.subdomains, measurement.displacements, are_used)
     found = lost or inverted
     if found and not failure:
         raise as_collective(ConvergenceError(found, replace(measurement, failure=found)))
@@ -280,9 +280,7 @@ def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evalua
     try:
         found = estimate_field_uncertainty(problem, model, evaluation, q, unmeasured)
     except ConvergenceError as error:
-        # What this rank alone raises must end the job.
-        if not is_collective(error):
-            raise
+        require_collective(error)
         return None, (f"no standard deviations were estimated, and the result holds none: {error}",)
     return found, describe_uncertainty(found)
 
@@ -326,10 +324,7 @@ def _judge_cells(problem: WeightedProblem, model: ResidualModel, evaluation: Eva
 
 
 def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> list[BoolArray]:
-    """Cells within a cut-off wavelength of one that is pulled, (n_cells,) of each owned subdomain; collective.
-
-    Mechanics carry on what holds that one off.
-    """
+    """Cells, (n_cells,), within a cut-off wavelength of a pulled one, which mechanics carry on; collective."""
     wavelength = compute_cut_off_wavelength(problem.reference.inputs.case)
     centroids = [subdomain.mesh.centroids for subdomain in problem.reference.subdomains]
     mine = [of_mesh[held.cells] for of_mesh, of_views in zip(centroids, excluded.pulled, strict=True)
@@ -341,8 +336,8 @@ def _find_cells_near_pulled(problem: WeightedProblem, excluded: Exclusions) -> l
     return [tree.query(of_mesh)[0] <= wavelength for of_mesh in centroids]
 
 
-def describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
-                            are_used: Sequence[BoolArray]) -> str:
+def _describe_inverted_cells(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array],
+                             are_used: Sequence[BoolArray]) -> str:
     """Say which cells a field turns inside out, however small the last correction: no matter moves so; collective.
 
     Displacements are those of nodes, (n_dofs,), pixels, nan where nothing was measured. ``are_used`` tells which cells
@@ -376,10 +371,8 @@ def last_field_kept(clock: PhaseClock, finish: Callable[[Any, str], object]) -> 
                 try:
                     error.last = finish(found, str(error))
                 except DdicError as second:
-                    # Where no pixel is left, say, there is nothing to show; what this rank alone raises must end the
-                    # job.
-                    if not is_collective(second):
-                        raise
+                    # Where no pixel is left, say, there is nothing to show.
+                    require_collective(second)
         raise
 
 

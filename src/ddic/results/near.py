@@ -107,10 +107,7 @@ def collect_motions(team: Team, cameras: Sequence[Camera], subdomains: Sequence[
 
 def describe_motions(cameras: Sequence[Camera], motions: Sequence[Array],
                      covariances: dict[int, Array]) -> tuple[SetupMotion, ...]:
-    """Convert motions and their covariances to pixels and radians, of the cameras whose set-up may move.
-
-    ``motions`` are unknowns of each camera, (n_motion_unknowns,).
-    """
+    """Convert motions, (n_motion_unknowns,) of each camera, and covariances to px and rad, where a set-up may move."""
     described = []
     for camera, motion in zip(cameras, motions, strict=True):
         setup = camera.setup

@@ -80,36 +80,13 @@ class Publishable(Protocol):
         """Whether it can be trusted."""
 
     def write(self, writer: ResultWriter | None) -> None:
-        """Write everything that was measured.
-
-        Parameters
-        ----------
-        writer : ResultWriter or None
-            Open on rank 0, None elsewhere.
-        """
+        """Write everything that was measured; the writer is open on rank 0, None elsewhere."""
 
     def describe_origin(self) -> dict[str, str | int]:
-        """Say what it was measured from.
-
-        Returns
-        -------
-        dict
-            Images and sizes, by name.
-        """
+        """Say what it was measured from: images and sizes, by name."""
 
     def summarize(self, of_run: dict[str, Any]) -> Summary:
-        """Sum it up for scripts and people.
-
-        Parameters
-        ----------
-        of_run : dict
-            What is told of any method, by field of the summary.
-
-        Returns
-        -------
-        Summary
-            The same on all ranks.
-        """
+        """Sum it up, alike on all ranks; ``of_run`` is what is told of any method, by field of the summary."""
 
 
 def write_case(measured: Publishable, writer: ResultWriter, of_method: dict[str, Any]) -> None:
@@ -128,12 +105,6 @@ def write_case(measured: Publishable, writer: ResultWriter, of_method: dict[str,
 
 
 _LIBRARIES = ("numpy", "scipy", "numba", "h5py", "mpi4py", "petsc4py")
-
-
-def collect_provenance(origin: dict[str, str | int]) -> dict[str, str | int]:
-    """Collect the facts that let a reader repeat a measurement: date, command, versions, then ``origin``; on rank 0."""
-    return {"date": datetime.now(UTC).isoformat(timespec="seconds"), "command": " ".join(sys.argv),
-            **_collect_versions(), **origin}
 
 
 @cache
@@ -205,10 +176,7 @@ def pack(measurement: Publishable, *, flip_y: bool, add: Add) -> bytes | None:
 
 def _write(measurement: Publishable, path: Path | None, take: Callable[[ResultWriter], T], *, flip_y: bool = False,
            files: NewFiles | None = None) -> T | None:
-    """Write a measurement, in memory without a path; collective.
-
-    What fails on rank 0, a full disk, say, is raised on all ranks, and leaves no file.
-    """
+    """Write a measurement, in memory without a path; an error of rank 0, raised on all, leaves no file; collective."""
     team = measurement.team
     with ExitStack() as stack:
         writer = team.build_on_root(lambda: stack.enter_context(ResultWriter(path, flip_y=flip_y, files=files)))
@@ -218,7 +186,10 @@ def _write(measurement: Publishable, path: Path | None, take: Callable[[ResultWr
 
         def finish() -> T:
             opened = require_held(writer)
-            opened.write_attributes(schema.PROVENANCE, collect_provenance(origin))
+            # What lets a reader repeat the measurement.
+            now, command = datetime.now(UTC).isoformat(timespec="seconds"), " ".join(sys.argv)
+            opened.write_attributes(schema.PROVENANCE, {"date": now, "command": command, **_collect_versions(),
+                                                        **origin})
             return take(opened)
 
         result = team.build_on_root(finish)

@@ -48,39 +48,19 @@ class Patch:
     values: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class PackedChunk:
-    """A compressed chunk.
-
-    Attributes
-    ----------
-    number : int
-        Its place in the grid.
-    data : bytes
-        As the file holds it.
-    """
-
-    number: int
-    data: bytes
+_PackedChunk = tuple[int, bytes]
+"""Place of a compressed chunk in the grid, and the chunk as the file holds it."""
 
 
 @dataclass(frozen=True)
-class ChunkShares:
-    """Who holds pixels of the chunks that this rank's windows touch.
-
-    Attributes
-    ----------
-    sharers : dict of list of int
-        Ranks whose windows touch a chunk, by its number.
-    owner : dict of int
-        One of them with a large part, by number.
-    """
+class _ChunkShares:
+    """Ranks that hold pixels of each chunk that this rank's windows touch, and one of them, its owner; by number."""
 
     sharers: dict[int, list[int]]
     owner: dict[int, int]
 
 
-def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> ChunkShares:
+def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> _ChunkShares:
     """Agree on the owner of every chunk that windows of owned subdomains touch; collective.
 
     A chunk's owner is found on one rank, to which only those that share it tell how much they have of it.
@@ -95,29 +75,29 @@ def share_chunks(team: Team, grid: ChunkGrid, windows: Iterable[Window]) -> Chun
     for rank, areas in team.exchange(area).items():
         for number, n_pixels in areas.items():
             n_pixels_of.setdefault(number, {})[rank] = n_pixels
-    answers: dict[int, ChunkShares] = {}
+    answers: dict[int, _ChunkShares] = {}
     for number, of_rank in n_pixels_of.items():
         enough = LARGE * max(of_rank.values())
         candidates = [rank for rank, n_pixels in of_rank.items() if n_pixels >= enough]
         for rank in of_rank:
-            answer = answers.setdefault(rank, ChunkShares({}, {}))
+            answer = answers.setdefault(rank, _ChunkShares({}, {}))
             answer.sharers[number] = list(of_rank)
             answer.owner[number] = candidates[number % len(candidates)]
-    shares = ChunkShares({}, {})
+    shares = _ChunkShares({}, {})
     for found in team.exchange(answers).values():
         shares.sharers.update(found.sharers)
         shares.owner.update(found.owner)
     return shares
 
 
-def pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[PackedChunk]:
+def _pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Iterator[Patch]) -> list[_PackedChunk]:
     """Put the chunks of this rank together and compress them; collective.
 
     A chunk is sent or compressed as soon as no further subdomain of this rank touches it. ``patches`` are those of the
     owned subdomains' windows, in this order, computed one by one. Chunks that have no correlated pixel are left out.
     """
     shares = share_chunks(team, grid, windows)
-    done: list[PackedChunk] = []
+    done: list[_PackedChunk] = []
     waiting: dict[int, NDArray[np.float32]] = {}
     sent = []
     for number, chunk in _complete_chunks(grid, windows, patches):
@@ -134,7 +114,7 @@ def pack_chunks(team: Team, grid: ChunkGrid, windows: list[Window], patches: Ite
     return done
 
 
-def _receive_parts(team: Team, shares: ChunkShares, chunks: dict[int, NDArray[np.float32]]) -> None:
+def _receive_parts(team: Team, shares: _ChunkShares, chunks: dict[int, NDArray[np.float32]]) -> None:
     """Complete this rank's chunks with what other ranks send of them."""
     mine = [number for number, rank in shares.owner.items() if rank == team.rank]
     awaited = Counter(rank for number in mine for rank in shares.sharers[number] if rank != team.rank)
@@ -166,9 +146,9 @@ def _lay(patch: Patch, place: Window, chunk: NDArray[np.float32]) -> None:
     np.copyto(target, values, where=~np.isnan(values))
 
 
-def _pack(number: int, chunk: NDArray[np.float32]) -> list[PackedChunk]:
+def _pack(number: int, chunk: NDArray[np.float32]) -> list[_PackedChunk]:
     """A chunk compressed; nothing where it has no pixel."""
-    return [] if np.isnan(chunk).all() else [PackedChunk(number, pack_chunk(chunk))]
+    return [] if np.isnan(chunk).all() else [(number, pack_chunk(chunk))]
 
 
 def write_residual_images(measurement: Measurement, writer: ResultWriter | None) -> None:
@@ -197,16 +177,16 @@ def _make_patches(measurement: Measurement,
 def write_patches(team: Team, writer: ResultWriter | None, grid: ChunkGrid, windows: list[Window],
                   patches: Iterator[Patch]) -> None:
     """Write a residual image of which each rank has some patches, in their windows; collective."""
-    chunks = pack_chunks(team, grid, windows, patches)
+    chunks = _pack_chunks(team, grid, windows, patches)
     places = _make_room(team, writer, grid, chunks).tolist()
-    blocks = [Block(place, chunk.data) for place, chunk in zip(places, chunks, strict=True)]
+    blocks = [Block(place, data) for place, (_, data) in zip(places, chunks, strict=True)]
     batches = (blocks[first:first + CHUNKS_A_BATCH] for first in range(0, len(blocks), CHUNKS_A_BATCH))
     write_blocks(team, writer, batches)
 
 
-def _make_room(team: Team, writer: ResultWriter | None, grid: ChunkGrid, chunks: list[PackedChunk]) -> IntArray:
+def _make_room(team: Team, writer: ResultWriter | None, grid: ChunkGrid, chunks: list[_PackedChunk]) -> IntArray:
     """Places in the file of this rank's chunks, (n,); collective: of the others rank 0 learns number and size alone."""
-    sizes = np.array([(chunk.number, len(chunk.data)) for chunk in chunks], np.int64).reshape(-1, 2)
+    sizes = np.array([(number, len(data)) for number, data in chunks], np.int64).reshape(-1, 2)
     of_ranks = team.gather_to(sizes)
 
     def reserve() -> list[IntArray]:

@@ -163,10 +163,7 @@ class Summary:
 
 
 def write_summary(path: Path, summary: Summary, files: NewFiles | None = None) -> None:
-    """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
-
-    It takes its name with ``files``, by default by itself. Raises InputError where the folder cannot be written to.
-    """
+    """Write a summary as ``write_json`` does."""
     write_json(path, asdict(summary), files)
 
 
@@ -323,10 +320,7 @@ class SeriesSummary:
 
 
 def write_series_summary(path: Path, summary: SeriesSummary, files: NewFiles | None = None) -> None:
-    """Write a summary as JSON, under a temporary name that is then changed; numbers that are not finite become null.
-
-    It takes its name with ``files``, by default by itself. Raises InputError where the folder cannot be written to.
-    """
+    """Write a summary of a series as ``write_json`` does."""
     of_run = asdict(summary)
     frames = of_run.pop("frames")
     write_json(path, {"converged": summary.is_whole and not summary.failures, "whole": summary.is_whole, **of_run,

@@ -118,10 +118,7 @@ def _list_places(evidence: Evidence) -> list[str]:
 
 
 def find_tear(team: Team, subdomains: Sequence[Subdomain], excluded: Exclusions) -> bool:
-    """Tell whether what does not show the specimen parts the mesh into more large pieces than it has; collective.
-
-    What bears no texture is no tear.
-    """
+    """Tell whether what shows something else, not blank cells, parts the mesh into more large pieces; collective."""
     everywhere = [np.ones(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains]
     are_kept = [~find_excluded(states) | (states == BLANK) for states, *_ in excluded.cells]
     return _count_large_pieces(team, subdomains, are_kept) > _count_large_pieces(team, subdomains, everywhere)

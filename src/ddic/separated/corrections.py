@@ -7,7 +7,7 @@ import numpy as np
 
 from ddic.arrays import Array
 from ddic.errors import ConvergenceError
-from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums
+from ddic.functionals.grey_statistics import GreyCorrection, GreyState, GreySums, measure_deviation
 from ddic.separated.field import LineElements, SeparatedField
 from ddic.separated.pixel_bands import FramePixels
 from ddic.separated.rank_one import Mode, build_directions, find_rank_one, renew_functions
@@ -229,8 +229,7 @@ def _evaluate(pixels: FramePixels, u: SeparatedField, correction: GreyCorrection
         pixels.correct_grey_levels(gain, offset)
     first, second = sums.sum_residual(gain, offset)
     n = float(sums.n_pixels)
-    mean, square = float(first) / n, float(second) / n
-    return sums, GreyState(float(np.sqrt(max(square - mean**2, 0.0))), float(np.sqrt(square)), int(n), gain, offset)
+    return sums, GreyState(*measure_deviation(n, first, second), int(n), gain, offset)
 
 
 def _add_mode(pixels: FramePixels, operator: SeparatedOperator, u: SeparatedField, mode: Mode,

@@ -1,4 +1,4 @@
-"""A displacement as a sum of products of functions of x and of y, Eq. (14) of [PP12].
+"""A displacement as a sum of products of functions of x and of y, Eq. (14) of [PP12]; sums over bands of its rows.
 
 The functions are those of one-dimensional linear elements along a side of a rectangle, which know the pixels that lie
 in them. Matrices of one-dimensional problems are kept by their diagonals: entry [w + k, i] of (2 w + 1, n) couples i to
@@ -7,9 +7,11 @@ i + k.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from typing import Protocol, TypeVar
 
 import numpy as np
 from scipy import linalg
@@ -17,6 +19,8 @@ from scipy import linalg
 from ddic.arrays import Array, IntArray
 from ddic.errors import SingularSubdomainError
 from ddic.mesh.raster import SNAP
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,10 +289,7 @@ class SeparatedField:
 
 
 def scale_modes(along_x: LineElements, along_y: LineElements, x: Array, y: Array) -> SeparatedField:
-    """Give modes functions of mean square 1, and amplitudes.
-
-    The products of ``x`` (n_modes, 2, n_x) and ``y`` (n_modes, 2, n_y) are displacements, pixels.
-    """
+    """Make a field of modes ``x`` and ``y``, (n_modes, 2, n), whose products are displacements, pixels."""
     sizes = _measure_functions(along_x, x), _measure_functions(along_y, y)
     safe = [np.where(size > _TINY, size, 1.0)[..., None] for size in sizes]
     return SeparatedField(along_x, along_y, sizes[0] * sizes[1], x / safe[0], y / safe[1])
@@ -360,3 +361,30 @@ def _measure_functions(line: LineElements, functions: Array) -> Array:
 def _average(line: LineElements, functions: Array) -> Array:
     """Means, (n_modes, 2)."""
     return np.asarray(multiply(line.mass, functions).sum(axis=-1) / line.length)
+
+
+N_BANDS = 16
+"""Bands of rows, whatever the number of ranks: most ranks that have work. More of them make more and smaller sweeps."""
+
+
+def divide_rows(along_y: LineElements) -> list[range]:
+    """Divide the rows of a rectangle into N_BANDS bands, or one a row where there are fewer."""
+    rows = along_y.pixels
+    edges = np.linspace(rows.start, rows.stop, min(N_BANDS, len(rows)) + 1).round().astype(int)
+    return [range(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+class BandSums(Protocol):
+    """Brings together what bands of rows give; every rank has the result."""
+
+    def add_up(self, of_bands: Iterable[Array]) -> Array:
+        """Sum arrays of one shape, one of each owned band in order, over the bands of all ranks."""
+
+    def join(self, of_bands: Iterable[Array]) -> Array:
+        """Put arrays, one of each owned band in order, side by side along their last axis, those of all ranks."""
+
+    def broadcast(self, item: T) -> T:
+        """Give all ranks what the first one has, so that rounding lets none of them decide otherwise."""
+
+    def together(self, work: Callable[[], T]) -> T:
+        """Run work, free of communication, that may fail on one rank alone, and return its result."""

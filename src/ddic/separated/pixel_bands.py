@@ -12,8 +12,7 @@ from ddic.images.spline import PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage
 from ddic.images.window import Window
 from ddic.separated import separated_kernels as kernels
-from ddic.separated.band_sums import BandSums
-from ddic.separated.field import LineElements, SeparatedField
+from ddic.separated.field import BandSums, LineElements, SeparatedField
 
 Grey = NDArray[np.float32]
 

@@ -68,7 +68,7 @@ class Direction:
         levels squared.
         """
         sums = self.integrate(self.other.evaluate_at_pixels(given))
-        blocks = assemble_blocks(self.line, sums[[0, 1, 1, 2]].reshape(2, 2, -1))
+        blocks = _assemble_blocks(self.line, sums[[0, 1, 1, 2]].reshape(2, 2, -1))
         right = np.stack([self.line.sum_at_nodes(row) for row in sums[3:]]) - self._regularize(given)
         blocks = add_diagonals(blocks, self.operator.assemble(self.operator.reduce(given, given)))
         functions = solve_coupled(blocks, right, f"correction along {self.name}")
@@ -82,7 +82,7 @@ class Direction:
         return np.stack([of_terms[rows == c].sum(axis=0) for c in range(2)])
 
 
-def assemble_blocks(line: LineElements, data: Array) -> Array:
+def _assemble_blocks(line: LineElements, data: Array) -> Array:
     """Assemble the matrices between all functions from their integrals at pixels (m, m, n_pixels), (m, m, 3, n).
 
     With what holds the nodes that no pixel shows, diagonal in the functions.
@@ -140,7 +140,7 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
     """
     along_x, along_y = directions
     broadcast = pixels.reference.sums.broadcast
-    y = estimate_functions(pixels)
+    y = _estimate_functions(pixels)
     before: SeparatedField | None = None
     for n_sweeps in range(1, max_sweeps + 1):
         x, _ = broadcast(along_x.solve(y))
@@ -152,7 +152,7 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
     return mode
 
 
-def estimate_functions(pixels: FramePixels) -> Array:
+def _estimate_functions(pixels: FramePixels) -> Array:
     """Guess functions of y, (2, n_y): what changes most from block to block of the residual, by singular values."""
     along_x, along_y = pixels.reference.along_x, pixels.reference.along_y
     edges_x, edges_y = (_block_edges(line) for line in (along_x, along_y))
@@ -214,7 +214,7 @@ def renew_functions(pixels: FramePixels, operator: SeparatedOperator, displaceme
     functions = pixels.reference.sums.broadcast(_choose_functions(displacement, mode, along_y=along_y))
     data, right = pixels.integrate_pairs(other.evaluate_at_pixels(functions), along_y=along_y)
     oriented = operator.transpose() if along_y else operator
-    blocks = assemble_blocks(line, data)
+    blocks = _assemble_blocks(line, data)
     if len(oriented.rows):
         # Blocks of no term would take as much memory.
         blocks = add_diagonals(blocks, _couple(oriented, functions))

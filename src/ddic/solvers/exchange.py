@@ -17,12 +17,11 @@ from ddic.partition.subdomain import Interface, Subdomain, copies_of
 from ddic.solvers.petsc import PetscStack, check_petsc_size, to_petsc_integers
 
 
-class Multiplying(Protocol):
+class _Multiplying(Protocol):
     """Context of a shell matrix."""
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiply y = A x: PETSc's callback."""
-        ...
 
 
 class Exchange:
@@ -73,7 +72,7 @@ class Exchange:
         vector.set(0.0)
         return vector
 
-    def create_matrix(self, context: Multiplying) -> PETSc.Mat:
+    def create_matrix(self, context: _Multiplying) -> PETSc.Mat:
         """Create a shell matrix on owned numbers over all ranks, the caller's to destroy."""
         size = (self.n_owned, self.n_global)
         matrix = PETSc.Mat().createPython((size, size), context, comm=self.team.comm)
@@ -105,24 +104,16 @@ larger number adds up less often and takes more memory."""
 
 
 @dataclass(frozen=True)
-class SomeRows:
-    """Some rows of a large sparse matrix.
-
-    Attributes
-    ----------
-    numbers : (n,) array of int64
-        Of the rows in the whole matrix.
-    entries : (n, all columns) csr_matrix
-        These rows; entries of one place add up.
-    """
+class _SomeRows:
+    """Some rows of a large sparse matrix: their numbers in it, and what they hold; entries of one place add up."""
 
     numbers: IntArray
     entries: sparse.csr_matrix
 
-    def cut(self, start: int, end: int) -> SomeRows:
+    def cut(self, start: int, end: int) -> _SomeRows:
         """Cut out the rows from ``start`` to before ``end``, numbers in the whole matrix; numbers are sorted here."""
         first, last = np.searchsorted(self.numbers, (start, end))
-        return SomeRows(self.numbers[first:last], self.entries[first:last])
+        return _SomeRows(self.numbers[first:last], self.entries[first:last])
 
 
 class ParallelEntries:
@@ -143,7 +134,7 @@ class ParallelEntries:
         self._local_rows = team.gather_lists([n_rows])
         self._local_columns = team.gather_lists([n_columns])
         self._n_columns = sum(self._local_columns)
-        self._blocks: list[SomeRows] = []
+        self._blocks: list[_SomeRows] = []
         self._n_waiting = 0
 
     def add(self, rows: IntArray, columns: IntArray, block: Array) -> None:
@@ -156,7 +147,7 @@ class ParallelEntries:
     def add_sparse(self, rows: IntArray, columns: IntArray, matrix: sparse.csr_matrix) -> None:
         """Add a sparse block, (n, k), at its rows, (n,), and columns, (k,), of the whole matrix."""
         entries = (matrix.data, columns[matrix.indices], matrix.indptr)
-        self._blocks.append(SomeRows(rows, sparse.csr_matrix(entries, shape=(len(rows), self._n_columns))))
+        self._blocks.append(_SomeRows(rows, sparse.csr_matrix(entries, shape=(len(rows), self._n_columns))))
         self._n_waiting += matrix.nnz
         if self._n_waiting > _CHUNK:
             self._blocks = [self._add_up(self._blocks)]
@@ -183,10 +174,7 @@ class ParallelEntries:
         return local
 
     def create_matrix(self) -> PETSc.Mat:
-        """Create the matrix over all ranks, the caller's to destroy; collective.
-
-        Raises FactorizationError where it is too large for PETSc's integers.
-        """
+        """Create the matrix over all ranks, the caller's to destroy; collective. Too large, FactorizationError."""
         local = self.sum_owned_rows()
         rank = self._team.rank
         row_sizes = (self._local_rows[rank], sum(self._local_rows))
@@ -196,7 +184,7 @@ class ParallelEntries:
                to_petsc_integers(local.indices, "columns of a matrix"), local.data)
         return PETSc.Mat().createAIJ((row_sizes, column_sizes), csr=csr, comm=self._team.comm)
 
-    def _add_up(self, blocks: Sequence[SomeRows]) -> SomeRows:
+    def _add_up(self, blocks: Sequence[_SomeRows]) -> _SomeRows:
         """The rows that blocks add up to, sorted."""
         none: IntArray = np.zeros(0, np.int64)
         numbers = np.unique(np.concatenate([none, *(block.numbers for block in blocks)]))
@@ -205,7 +193,7 @@ class ParallelEntries:
         columns = np.concatenate([none, *(block.entries.indices for block in blocks)])
         values = np.concatenate([np.zeros(0), *(block.entries.data for block in blocks)])
         entries = (values, (np.repeat(rows, n_entries), columns))
-        return SomeRows(numbers, sparse.coo_matrix(entries, shape=(len(numbers), self._n_columns)).tocsr())
+        return _SomeRows(numbers, sparse.coo_matrix(entries, shape=(len(numbers), self._n_columns)).tocsr())
 
 
 def fetch_copies(team: Team, subdomains: Sequence[Subdomain], values: Sequence[tuple[Interface, Array]],

@@ -103,15 +103,12 @@ class Model(Protocol):
     @property
     def team(self) -> Team:
         """All ranks."""
-        ...
 
     def linearize(self, q: Field) -> tuple[Field, tuple[GreyState, ...]]:
         """Pass over all pixels for b, grey levels squared per pixel, and each camera's statistics; collective."""
-        ...
 
     def measure_correction(self, dq: Field, q: Field, tolerances: Tolerances) -> CorrectionSize:
         """Measure a correction dq, of the unknowns q before it, on displacements of nodes; collective."""
-        ...
 
 
 @dataclass(frozen=True)

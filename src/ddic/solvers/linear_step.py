@@ -77,15 +77,12 @@ class LinearStep(Protocol):
         ConvergenceError
             On all ranks, where an iterative solver does not converge.
         """
-        ...
 
     def forget(self) -> None:
         """Forget what earlier steps taught, so that the next one depends on its q and b alone."""
-        ...
 
     def destroy(self) -> None:
         """Free what PETSc holds."""
-        ...
 
 
 class GuardedStep(LinearStep):

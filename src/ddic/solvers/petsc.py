@@ -52,7 +52,7 @@ _KEPT = 2**26
 for one array after the other, a twentieth of a large run; a larger one keeps more memory."""
 
 
-def release_freed_memory() -> None:
+def _release_freed_memory() -> None:
     """Undo what SuperLU_DIST, which PETSc may be linked with, does to the C library's malloc when it is loaded.
 
     It forbids mmap and trimming (M_MMAP_MAX = 0), so that a freed factor stays with the process, mostly in pieces
@@ -135,7 +135,7 @@ def describe_missing_packages(method: str) -> tuple[str, ...]:
 
 
 # At import, for PETSc's libraries change malloc when they are loaded, and assembly comes before the first solver.
-release_freed_memory()
+_release_freed_memory()
 
 LOCAL = "local_"
 DUAL = "dual_"
@@ -210,10 +210,7 @@ makes fewer ranks do more, a smaller one send more."""
 
 
 def create_coarse_ksp(comm: PETSc.Comm, n_unknowns: int) -> PETSc.KSP:
-    """Create what factorises a coarse problem of so many unknowns, spread over as many ranks as these are worth.
-
-    The caller uses it as what ``create_ksp`` creates.
-    """
+    """Create, as ``create_ksp``, what factorises a coarse problem, on as many ranks as its unknowns are worth."""
     n_ranks = min(comm.size, max(1, -(-n_unknowns // COARSE_UNKNOWNS)))
     step = comm.size // n_ranks
     if is_mumps_missing(COARSE_FACTOR):
@@ -294,15 +291,14 @@ def _check(code: int) -> None:
         raise PETSc.Error(code)
 
 
-class Destroyable(Protocol):
+class _Destroyable(Protocol):
     """A PETSc object, or what holds some."""
 
     def destroy(self) -> object:
         """Free it."""
-        ...
 
 
-T = TypeVar("T", bound=Destroyable)
+T = TypeVar("T", bound=_Destroyable)
 
 
 class PetscStack(ExitStack):

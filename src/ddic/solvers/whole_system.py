@@ -109,10 +109,7 @@ class WholeSystem:
         return q_mean + self.restrict(self.exchange.fetch_ghosts(solution)) - q
 
     def check_diagonal(self, operator: PETSc.Mat) -> None:
-        """Check that the diagonal of A, or of what gives it, is positive: something holds every unknown; collective.
-
-        Raises SingularSubdomainError on all ranks.
-        """
+        """Raise SingularSubdomainError on all ranks where nothing holds an unknown: A's diagonal is not positive."""
         with PetscStack() as stack:
             diagonal = stack.keep(self.exchange.create_vector())
             operator.getDiagonal(diagonal)

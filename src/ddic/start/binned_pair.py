@@ -115,18 +115,12 @@ class BinnedPair:
         return pairs
 
     def can_bin_finer(self, mesh: Mesh) -> bool:
-        """Tell whether what surrounds a region is so small that the pyramid has finer levels there than on all pixels.
-
-        The blocks are pixels.
-        """
+        """Tell whether the surroundings of a region, blocks being pixels, are so small that they have finer levels."""
         of_part = self._find_extent(mesh)
         return find_finest_level(int(of_part.prod())) < find_finest_level(int(self.size.prod()))
 
     def bin_surroundings(self, mesh: Mesh, translation: Array) -> Surroundings:
-        """Bin what surrounds a region, in blocks as small as those of an image of that size; from pixels.
-
-        ``translation``, (2,), pixels, is about that of the region.
-        """
+        """Bin what surrounds a region, moved by about ``translation``, (2,), pixels, as finely as its size allows."""
         extent = self._find_extent(mesh)
         factor = choose_finest_block(int(extent.prod()))
         extent -= extent % factor
@@ -217,20 +211,14 @@ def choose_grid_lines(region: Mesh, pair: BinnedPair) -> GridLines:
 
 
 def build_grid(lines: GridLines, active: NDArray[np.uint8], window: Window) -> BlockGrid:
-    """Build a grid without the cells that have no active block.
-
-    ``active``, (rows, columns), is 1 on the blocks of a window that count.
-    """
+    """Build a grid without the cells that have no block of ``active``, (rows, columns), 1 on those that count."""
     full = lines.build_mesh()
     n_active = rasterize(full).sum_by_cell(active, window.x0, window.y0)
     return BlockGrid(lines, *full.create_submesh(np.flatnonzero(n_active > 0)))
 
 
 def make_grid_field(lines: GridLines, values: Array, pair: BinnedPair) -> GridField:
-    """Make a field, pixels, of displacements on the full grid, (rows, columns, 2), blocks.
-
-    Nodes that are nan have the nearest node's value.
-    """
+    """Make a field, pixels, of displacements on the full grid, (rows, columns, 2), blocks; nan as the nearest node."""
     x0, y0 = (float(line[0]) * pair.factor + pair.centre for line in (lines.x, lines.y))
     step_x, step_y = (float(np.ptp(line)) / (len(line) - 1) * pair.factor for line in (lines.x, lines.y))
     return GridField((x0, y0), (step_x, step_y), fill_absent(values * pair.factor))

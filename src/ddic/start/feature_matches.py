@@ -194,10 +194,7 @@ def find_pieces(mesh: Mesh) -> IntArray:
 
 
 def find_piece_of_nodes(mesh: Mesh) -> IntArray:
-    """Find the piece of a mesh that each node is of, as ``find_pieces`` numbers them.
-
-    Every node must be a corner of a cell.
-    """
+    """Find the piece, as ``find_pieces`` numbers them, of each node of a mesh, all of which are corners of cells."""
     pieces = np.zeros(mesh.n_nodes, dtype=np.int64)
     pieces[mesh.connectivity] = np.repeat(find_pieces(mesh), np.diff(mesh.offsets))
     return pieces

@@ -90,13 +90,13 @@ def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: li
         motions = start_motions(search.cameras, q)
         noise: Sequence[float] = problem.noise
         if not problem.is_set_up:
-            noise = estimate_noise(search.cameras, q, views, search.correction)
+            noise = _estimate_noise(search.cameras, q, views, search.correction)
     if not problem.is_set_up:
         problem.set_noise(noise)
     kinematics = [own.kinematics for own, *_ in reference.views]
     with_motions = team.together(lambda: q.map(
         lambda subdomain, field, of_own: _join_motion(of_own, field, motions[subdomain.camera]), kinematics))
-    return with_motions, (*notes, *describe_noise(search.cameras, noise))
+    return with_motions, (*notes, *_describe_noise(search.cameras, noise))
 
 
 def _refine_independently(by: FrameStart, views: ByView[FrameView], q: Field) -> tuple[Field, tuple[str, ...]]:
@@ -206,8 +206,8 @@ def _mean_of_copies(pieces: Sequence[_InterfaceField]) -> _InterfaceField:
     return _InterfaceField(pieces[0].camera, numbers, sums / counts, all_columns[place])
 
 
-def estimate_noise(cameras: Sequence[Camera], q: Field, views: ByView[FrameView],
-                   correction: GreyCorrection) -> list[float]:
+def _estimate_noise(cameras: Sequence[Camera], q: Field, views: ByView[FrameView],
+                    correction: GreyCorrection) -> list[float]:
     """Find the noise of each camera: given, or its residual's standard deviation over sqrt(2); collective.
 
     The noise is a standard deviation, grey levels; each field is as its own camera alone sees it. Of a camera's
@@ -231,7 +231,7 @@ def estimate_noise(cameras: Sequence[Camera], q: Field, views: ByView[FrameView]
     return noise
 
 
-def describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:
+def _describe_noise(cameras: Sequence[Camera], noise: Sequence[float]) -> tuple[str, ...]:
     """Say what noise each camera has, grey levels, a line for each."""
     lines = []
     for camera, sigma in zip(cameras, noise, strict=True):

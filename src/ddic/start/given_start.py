@@ -90,10 +90,7 @@ class EarlierResult:
         return np.asarray(locate(self.result.mesh, points).cells < 0)
 
     def get_motion(self, camera: Camera) -> Array:
-        """Get how a set-up moved, (n_motion_unknowns,), pixels; none of the far camera.
-
-        Raises InputError where the result holds no motion of this near field.
-        """
+        """Get how a set-up moved, (n_motion_unknowns,), pixels; InputError where that of a near one is not held."""
         if camera.number == 0:
             return np.zeros(0)
         stored = self.result.attributes.get(near_group(camera.number), {})
@@ -131,10 +128,7 @@ class PlacedStart:
 
 
 def load_given_start(section: StartSection) -> GivenStart | None:
-    """Load what a case gives to start from; None where it gives nothing.
-
-    Raises InputError where a file is missing or holds something else.
-    """
+    """Load what a case gives to start from, None where it gives nothing; raises InputError where a file is wrong."""
     if section.from_result is not None:
         result, name = read_frame_or_last(section.from_result, section.frame, "start.frame =")
         require_known_displacement(result)

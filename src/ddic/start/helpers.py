@@ -1,7 +1,5 @@
 """Images in blocks, of which each rank holds some rows, and ranks that read and correlate for the one that searches."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -4,8 +4,6 @@ A tile is correlated with what surrounds it, by one rank alone. The level before
 that nothing farther off matters, and tiles need not know of each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -89,25 +87,12 @@ def _correlate(images: Images, cells: LevelMesh, candidates: Sequence[Array], si
 
 
 @dataclass(frozen=True, eq=False)
-class Tile:
-    """A part of a level's grid.
+class _Tile:
+    """A part of a level's grid of blocks of ``size`` pixels; lengths are blocks.
 
-    Attributes
-    ----------
-    size : int
-        Side of a block, pixels.
-    lines : GridLines
-        Of its cells and those around it, blocks.
-    own : tuple of slice
-        Rows and columns of those nodes that are its own.
-    on_level : tuple of slice
-        Where these are on the level's grid.
-    region : Mesh
-        Cells of the region, blocks, that it may show.
-    starts : list of (rows, columns, 2) array
-        Displacements of all its nodes to start from, blocks; at least one.
-    correction : GreyCorrection
-        Of grey levels.
+    ``lines`` are those of its cells and those around it, ``own`` rows and columns of those nodes that are its own,
+    ``on_level`` where these are on the level's grid; ``region`` are the cells of the region that it may show,
+    ``starts``, (rows, columns, 2) each, displacements of all its nodes to start from.
     """
 
     size: int
@@ -125,7 +110,7 @@ class Tile:
         return Window.between(np.ceil(low), np.floor(high) + 1)
 
 
-def correlate_tile(images: PairOfRank, tile: Tile) -> Array | MeasurementError:
+def _correlate_tile(images: PairOfRank, tile: _Tile) -> Array | MeasurementError:
     """Correlate a tile, from the best of its starts; displacements of its own nodes, (rows, columns, 2), blocks.
 
     Nodes without a cell are nan. What keeps it from being correlated is returned.
@@ -175,7 +160,7 @@ def correlate_in_tiles(helpers: Helpers, size: int, mesh: Mesh, starts: Sequence
     on_grid = [evaluate_at_nodes(start, nodes).reshape(shape) / pair.factor for start in starts]
     tiles = list(_cut_tiles(size, region, lines, on_grid, correction))
     values, errors = np.full(shape, np.nan), []
-    for tile, found in zip(tiles, helpers.apply(correlate_tile, tiles), strict=True):
+    for tile, found in zip(tiles, helpers.apply(_correlate_tile, tiles), strict=True):
         if isinstance(found, Exception):
             errors.append(found)
             values[tile.on_level] = on_grid[0][tile.on_level]
@@ -187,7 +172,7 @@ def correlate_in_tiles(helpers: Helpers, size: int, mesh: Mesh, starts: Sequence
 
 
 def _cut_tiles(size: int, region: Mesh, lines: GridLines, starts: Sequence[Array],
-               correction: GreyCorrection) -> Iterator[Tile]:
+               correction: GreyCorrection) -> Iterator[_Tile]:
     """Tiles, row by row, where there are cells of the region; ``starts``, blocks, are of all nodes of the grid."""
     lowest, highest = region.outlines.find_boxes()
     for rows in _split_line(lines.y):
@@ -196,9 +181,9 @@ def _cut_tiles(size: int, region: Mesh, lines: GridLines, starts: Sequence[Array
             low, high = ([line[k] for line in (part.x, part.y)] for k in (0, -1))
             cells = np.flatnonzero(((lowest <= high) & (highest >= low)).all(axis=1))
             if len(cells):
-                yield Tile(size, part, (rows.own, columns.own), (rows.on_level, columns.on_level),
-                           region.create_submesh(cells)[0], [start[rows.wide, columns.wide] for start in starts],
-                           correction)
+                yield _Tile(size, part, (rows.own, columns.own), (rows.on_level, columns.on_level),
+                            region.create_submesh(cells)[0], [start[rows.wide, columns.wide] for start in starts],
+                            correction)
 
 
 class _Stretch(NamedTuple):

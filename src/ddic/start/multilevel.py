@@ -192,10 +192,7 @@ class Pyramid:
         return int(self.pair.size.prod()) * self.pair.factor**2
 
     def find_rigid(self) -> RigidStart:
-        """Find the translation of the region, and of each piece that lines cut it into.
-
-        It is at rest, with a warning, where nothing stands out.
-        """
+        """Find translations of the region and of pieces that lines cut; 0, with a warning, where nothing stands out."""
         return find_rigid_start(self.read_whole(self.rigid_size), self.mesh, self.discontinuities)
 
     def choose_levels_after(self, translation: CoarseField) -> list[int]:

@@ -18,11 +18,9 @@ class DisplacementField(Protocol):
 
     def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u, (n, 2), at points (n, 2), both in pixels."""
-        ...
 
     def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j, (n, 2, 2), no unit, at points (n, 2), pixels."""
-        ...
 
 
 def require_finite(field: str, **values: float | tuple[float, ...]) -> None:
@@ -32,7 +30,7 @@ def require_finite(field: str, **values: float | tuple[float, ...]) -> None:
             raise InputError(f"{field}: {key} = {value}: must be finite")
 
 
-def require_poisson_ratio(field: str, value: float) -> None:
+def _require_poisson_ratio(field: str, value: float) -> None:
     """Check that a Poisson ratio lies in -1 < nu <= 0.5; raises InputError, naming its owner, where it does not."""
     if not -1.0 < value <= 0.5:
         raise InputError(f"{field}: poisson_ratio = {value}: must be above -1 and at most 0.5")
@@ -180,7 +178,7 @@ class Bending:
 
     def __post_init__(self) -> None:
         require_finite("bending", curvature=self.curvature, center=self.center)
-        require_poisson_ratio("bending", self.poisson_ratio)
+        _require_poisson_ratio("bending", self.poisson_ratio)
 
     def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
@@ -253,7 +251,7 @@ class Kirsch:
 
     def __post_init__(self) -> None:
         require_finite("kirsch", center=self.center, strain=self.strain, translation=self.translation)
-        require_poisson_ratio("kirsch", self.poisson_ratio)
+        _require_poisson_ratio("kirsch", self.poisson_ratio)
         if not (self.radius > 0 and math.isfinite(self.radius)):
             raise InputError(f"kirsch: radius = {self.radius}: must be positive")
 

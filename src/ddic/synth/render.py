@@ -181,11 +181,9 @@ class Pictured(Protocol):
 
     def reference_grey(self, points: Array) -> Array:
         """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
-        ...
 
     def deformed_grey(self, points: Array) -> Array:
         """Evaluate the grey level g after the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -217,14 +215,13 @@ class Scene:
         return self.reference_grey(find_reference_points(self.field, points))
 
 
-def render_pair(scene: Pictured, picture: Picture, stream: int = 0) -> ImagePair:
-    """Render f and g in memory so that f(x) = g(x + u(x)) holds without any interpolation.
+def render_pair(scene: Pictured, picture: Picture) -> ImagePair:
+    """Render f and g in memory so that f(x) = g(x + u(x)) holds without any interpolation, with independent noise.
 
-    The noise is independent in the two: ``stream`` is that of the reference image, the next one that of the deformed
-    image. Raises InputError for a field that folds the plane, ConvergenceError where the motion cannot be inverted to
-    1e-12 px.
+    Raises InputError for a field that folds the plane, ConvergenceError where the motion cannot be inverted to 1e-12
+    px.
     """
-    bands = list(_bands(scene, picture, stream))
+    bands = list(_bands(scene, picture, stream=0))
     reference = np.concatenate([band.reference for band in bands])
     deformed = np.concatenate([band.deformed for band in bands])
     return ImagePair(reference, deformed)
@@ -234,9 +231,10 @@ def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stre
                files: NewFiles | None = None) -> None:
     """Write the images of ``render_pair``, reference first, to two uncompressed TIFF files, one band in memory.
 
-    They take their names with ``files``; by default the two do so by themselves. Raises InputError for a field that
-    folds the plane or a folder that cannot be written to, no half-written file staying; OSError where the disk does not
-    take them; ConvergenceError where the motion cannot be inverted to 1e-12 px.
+    The noise is independent in the two: ``stream`` is that of the reference image, the next one that of the deformed
+    image. They take their names with ``files``; by default the two do so by themselves. Raises InputError for a field
+    that folds the plane or a folder that cannot be written to, no half-written file staying; OSError where the disk
+    does not take them; ConvergenceError where the motion cannot be inverted to 1e-12 px.
     """
     with begin_files(files) as new:
         reference, deformed = (_create_tiff(new.begin(path), picture) for path in paths)

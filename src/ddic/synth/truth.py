@@ -25,10 +25,7 @@ _NAMES = {kind: name for name, kind in _FIELDS.items()}
 
 
 def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
-    """Describe everything that made a pair, as values that JSON holds: a truth file's record.
-
-    Raises InputError if the field is not one of this package's.
-    """
+    """Describe all that made a pair as JSON holds it: a truth file's record; InputError for a field of one's own."""
     size = {"width": picture.width, "height": picture.height}
     return {
         "format": _FORMAT,
@@ -45,10 +42,10 @@ def load_truth(path: Path) -> DisplacementField:
 
     Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
     """
-    return _rebuild(path, read_record(path).get("field"))
+    return _rebuild(path, _read_record(path).get("field"))
 
 
-def read_record(path: Path) -> dict[str, Any]:
+def _read_record(path: Path) -> dict[str, Any]:
     """Read the values of a truth file; raises InputError if it is missing or foreign."""
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -78,7 +75,7 @@ def _rebuild(path: Path, description: object) -> DisplacementField:
     name = description.get("name") if isinstance(description, dict) else None
     if not isinstance(description, dict) or not isinstance(name, str) or name not in _FIELDS:
         raise InputError(f"{path}: field.name: is not one of {', '.join(_FIELDS)}")
-    values = {key: as_tuples(value) for key, value in description.items() if key != "name"}
+    values = {key: _as_tuples(value) for key, value in description.items() if key != "name"}
     kind = _FIELDS[name]
     if kind is Sum:
         terms = description.get("terms")
@@ -94,9 +91,9 @@ def _rebuild(path: Path, description: object) -> DisplacementField:
     return field
 
 
-def as_tuples(value: Any) -> Any:
+def _as_tuples(value: Any) -> Any:
     """Turn lists into tuples, which JSON does not have, at any depth."""
-    return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
+    return tuple(_as_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 Built = TypeVar("Built")
@@ -157,7 +154,7 @@ def load_near_far_truth(path: Path) -> NearFarTruth:
     Raises InputError, naming file and key, if the file is missing, foreign, or has an impossible value.
     """
     field = load_truth(path)
-    near = read_record(path).get("near")
+    near = _read_record(path).get("near")
     if not isinstance(near, dict):
         raise InputError(f"{path}: near: is missing; {_REMEDY}")
     mapping = _rebuild_near(path, near, "mapping", CameraMapping)
@@ -172,6 +169,6 @@ def _rebuild_near(path: Path, near: dict[str, Any], key: str, kind: Callable[...
     if not isinstance(values, dict):
         raise InputError(f"{path}: near.{key}: is missing; {_REMEDY}")
     try:
-        return kind(**{name: as_tuples(value) for name, value in values.items()})
+        return kind(**{name: _as_tuples(value) for name, value in values.items()})
     except (InputError, TypeError, ValueError) as error:
         raise InputError(f"{path}: near.{key}: {error}; {_REMEDY}") from error

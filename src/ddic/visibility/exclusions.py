@@ -185,22 +185,11 @@ def pull_held_cells(model: ResidualModel, excluded: Exclusions, q: Field) -> Res
 
 
 @dataclass(frozen=True, eq=False)
-class SeenView:
-    """A view of a subdomain in a frame, at a displacement.
+class _SeenView:
+    """A view of a subdomain, with all pixels that the frame shows, at a displacement, and what a typical cell is like.
 
-    Attributes
-    ----------
-    view : FrameView
-        With all pixels that the frame shows.
-    q : (n_unknowns,) array
-        The subdomain's unknowns.
-    cells : SeenCells
-        Its cells.
-    typical : TypicalCell
-        Of the camera.
-    judged : (n_cells,) uint8 array or None
-        What an earlier look found of these cells, from which is taken which of them are blank: noise correlates here
-        and there, and they would come and go with the field. None where this one judges.
+    ``judged``, (n_cells,), is what an earlier look found of these cells, from which is taken which of them are blank:
+    noise correlates here and there, and they would come and go with the field. None where this one judges.
     """
 
     view: FrameView
@@ -230,7 +219,7 @@ class Rules:
     uncertainty: tuple[float, ...] = ()
 
 
-def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8], IntArray, HeldCells]:
+def _find_view_exclusions(seen: _SeenView, rules: Rules) -> tuple[NDArray[np.uint8], IntArray, HeldCells]:
     """Find what a view does not show: states of its cells, spoilt pixels, cells that are pulled.
 
     States, (n_cells,), are KEPT or why not; pixels, (n, 2), are column and row of spoilt ones in cells that are kept;
@@ -257,7 +246,7 @@ def find_view_exclusions(seen: SeenView, rules: Rules) -> tuple[NDArray[np.uint8
     return states, np.concatenate(spots), _hold(seen, found)
 
 
-def _hold(seen: SeenView, found: Mapping[int, Array]) -> HeldCells:
+def _hold(seen: _SeenView, found: Mapping[int, Array]) -> HeldCells:
     """Where those cells are seen whose grey levels do not say the way there."""
     far = {cell: away for cell, away in found.items() if measure_mean_distance(away) > CAPTURED}
     if not far:
@@ -267,7 +256,7 @@ def _hold(seen: SeenView, found: Mapping[int, Array]) -> HeldCells:
     return HeldCells(cells, u[pad_cells(mesh)[cells]] + np.array(list(far.values())))
 
 
-def _judge_by_pixels(seen: SeenView, rules: Rules) -> NDArray[np.uint8]:
+def _judge_by_pixels(seen: _SeenView, rules: Rules) -> NDArray[np.uint8]:
     """States of cells, (n_cells,), by their texture and by how many of their pixels the frame shows."""
     cells = seen.cells
     states = np.full(len(cells.n_pixels), KEPT, dtype=np.uint8)
@@ -283,7 +272,7 @@ def _judge_by_pixels(seen: SeenView, rules: Rules) -> NDArray[np.uint8]:
     return states
 
 
-def _search_cells(seen: SeenView, rules: Rules, searched: IntArray) -> Iterator[tuple[int, IntArray, float]]:
+def _search_cells(seen: _SeenView, rules: Rules, searched: IntArray) -> Iterator[tuple[int, IntArray, float]]:
     """Cells that have spoilt pixels, or that a line may cross elsewhere than it is thought to.
 
     Beside them these pixels' columns and rows, (n, 2), and their share of the cell's pixels that are judged.
@@ -303,7 +292,7 @@ def _search_cells(seen: SeenView, rules: Rules, searched: IntArray) -> Iterator[
             yield cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / max(n_judged, 1)
 
 
-def _find_uncertain_pixels(seen: SeenView, rules: Rules, box: Window) -> BoolArray:
+def _find_uncertain_pixels(seen: _SeenView, rules: Rules, box: Window) -> BoolArray:
     """Pixels of a box that may lie beyond a line: those within its uncertainty."""
     correlation = seen.view.correlation
     uncertain = np.zeros((box.height, box.width), dtype=bool)
@@ -367,10 +356,10 @@ def find_exclusions(whole: ResidualModel, q: Field, seen: ByView[SeenCells],
     else.
     """
     before = seen.map(lambda _: None) if judged is None else judged.cells
-    views = whole.views.map(lambda view, q_s, cells, states: SeenView(view, q_s, cells, typical[view.camera], states),
+    views = whole.views.map(lambda view, q_s, cells, states: _SeenView(view, q_s, cells, typical[view.camera], states),
                             whole.views.fill(q), seen, before)
     chosen = replace(rules, limits=_choose_limits(whole.team, views.flat, rules.limits))
-    found = whole.team.together(lambda: views.map(lambda seen: find_view_exclusions(seen, chosen)))
+    found = whole.team.together(lambda: views.map(lambda seen: _find_view_exclusions(seen, chosen)))
     excluded = Exclusions(*(found.map(itemgetter(k)) for k in range(3)))
     # Mechanics hold what a frame does not show; what it shows beside something else is another matter.
     doubted = (BLANK, SPOILT) if rules.is_regularized else (BLANK, SPOILT, UNSEEN)
@@ -378,7 +367,7 @@ def find_exclusions(whole: ResidualModel, q: Field, seen: ByView[SeenCells],
     return exclude_weak_cells(whole, excluded) if whole.team.sum(n_doubted) else excluded
 
 
-def _choose_limits(team: Team, views: Sequence[SeenView], limits: Limits) -> Limits:
+def _choose_limits(team: Team, views: Sequence[_SeenView], limits: Limits) -> Limits:
     """Choose no limits where too much stands out at a start; raise where too much does later."""
     counts = np.zeros(2)
     for seen in views:

@@ -15,8 +15,6 @@ which is no texture: forces change with the displacement by theta M only, so tha
 much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +26,7 @@ from ddic.arrays import Array, IntArray
 from ddic.case.schema import Case
 from ddic.errors import InputError, as_collective
 from ddic.functionals.correlation import Residual
-from ddic.functionals.noise_transfer import (
-    build_transfer,
-    build_white_transfer,
-    correlate_slopes,
-    find_cell_transfer,
-)
+from ddic.functionals.noise_transfer import build_transfer, build_white_transfer, correlate_slopes, find_cell_transfer
 from ddic.functionals.view import FrameView, View
 from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, estimate_rest_noise
 from ddic.images.window import Window
@@ -178,10 +171,7 @@ class _Sums(NamedTuple):
 
 
 def _measure_energies(hessians: Array, forces: Array, translations: Array | None) -> tuple[Array, Array]:
-    """b_e^T M_e^-1 b_e and rank M_e of each cell, (n,).
-
-    With M_e of the translations of each, (n, 2, 2), without the forces that move it as a whole.
-    """
+    """b_e^T M_e^-1 b_e and rank M_e, (n,), of translations, (n, 2, 2), without what moves cells as a whole."""
     values, vectors = np.linalg.eigh(hessians)
     is_held = values > SINGULAR * values[:, -1:]
     along = np.einsum("eji,ej->ei", vectors, forces)

@@ -180,10 +180,7 @@ def _join(parts: Sequence[SeenCells]) -> SeenCells:
 
 
 def find_typical_cell(team: Team, cells: SeenCells) -> TypicalCell:
-    """Find what most of all ranks' cells with pixels are like, of which ``cells`` are this rank's; collective.
-
-    Zeros, and no correction, where there are no cells.
-    """
+    """Find what most of all ranks' cells with pixels are like, zeros if there are none; collective."""
     n, varies = cells.n_pixels, cells.spread_g != 0
 
     def find(values: Array, share: float = 0.5) -> float:

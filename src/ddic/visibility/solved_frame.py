@@ -97,8 +97,8 @@ class SeenFrame:
         return float(n_shown / max(n_cells, 1.0))
 
 
-def see_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, limits: Limits = AT_END,
-              judged: Exclusions | None = None) -> SeenFrame:
+def _see_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, limits: Limits = AT_END,
+               judged: Exclusions | None = None) -> SeenFrame:
     """See how a frame has to be corrected, and what of it does not show the specimen; collective.
 
     The case says whether that is wanted. ``whole`` is of all pixels that the frame shows, ``q`` where it is thought to
@@ -141,16 +141,16 @@ def see_start(problem: WeightedProblem, whole: ResidualModel, q: Field) -> tuple
     """See the same at a start, and blur the reference images as much as the frame is; collective.
 
     The case says whether either is wanted. Notes for the log come with what is seen; arguments are those of
-    ``see_frame``. Raises ConvergenceError on all ranks where the frame shows no pixel.
+    ``_see_frame``. Raises ConvergenceError on all ranks where the frame shows no pixel.
     """
-    seen, inputs = see_frame(problem, whole, q, AT_START), problem.reference.inputs
+    seen, inputs = _see_frame(problem, whole, q, AT_START), problem.reference.inputs
     if inputs.case.correlation.spoilt_pixels == "keep":
         return seen, ()
     matched, notes = match_sharpness(seen.whole, inputs.cameras, q, seen.typical)
     if not notes:
         return seen, notes
     # Blurred from the file, they are as bright as there.
-    return see_frame(problem, replace(matched, correction=whole.correction), q, AT_START), notes
+    return _see_frame(problem, replace(matched, correction=whole.correction), q, AT_START), notes
 
 
 @dataclass(frozen=True)
@@ -295,10 +295,10 @@ def see_solved_frame(problem: WeightedProblem, solved: SolvedFrame, as_read: Res
     judged = None if solved.solution.paused is not None else solved.seen.excluded
     try:
         if as_read is not None and before.correction != as_read.correction and not before.blurs:
-            seen = see_frame(problem, as_read, q, judged=judged)
+            seen = _see_frame(problem, as_read, q, judged=judged)
             if ORDER.index(seen.whole.correction) < ORDER.index(before.correction):
                 return seen
-        return see_frame(problem, before, q, judged=judged)
+        return _see_frame(problem, before, q, judged=judged)
     except ConvergenceError as error:
         error.last = solved
         raise

@@ -58,7 +58,7 @@ class LocalDual:
     motion: MotionRows | None = None
 
     def multiply_schur(self, columns: Array) -> Array:
-        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s, not formed, in blocks: no array of (n_field, k) is held.
+        """Multiply by S_s = T_s A_s^-1 T_s^T - D_s in blocks: no (n_field, k) array is held.
 
         S_tot is the sum of B_s S_s B_s^T, Eq. 34-35 of [BP17].
         """
@@ -148,7 +148,7 @@ def _select(places: IntArray, size: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.ones(n), places, np.arange(n + 1)), shape=(n, size))
 
 
-def list_places(sizes: Sequence[int]) -> list[slice]:
+def _list_places(sizes: Sequence[int]) -> list[slice]:
     """List where arrays of some sizes lie in all of them, one after the other."""
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(begin, end) for begin, end in pairwise(ends)]
@@ -188,12 +188,11 @@ class PackedSymmetric:
         """Nothing to free: the array is Python's."""
 
 
-class LocalProduct(Protocol):
+class _LocalProduct(Protocol):
     """X_s, which acts on one subdomain's interface unknowns."""
 
     def apply(self, x: Array) -> Array:
         """Multiply a vector, (n interface unknowns,)."""
-        ...
 
 
 class SumOverSubdomains:
@@ -203,13 +202,13 @@ class SumOverSubdomains:
     ----------
     assemblies : sequence of (n ghost rows, n interface unknowns) csc_matrix
         B_s of each, at least one: signed incidence, or its scaled version.
-    products : sequence of LocalProduct
+    products : sequence of _LocalProduct
         X_s of each.
     """
 
-    def __init__(self, assemblies: Sequence[sparse.csc_matrix], products: Sequence[LocalProduct]) -> None:
+    def __init__(self, assemblies: Sequence[sparse.csc_matrix], products: Sequence[_LocalProduct]) -> None:
         self._products = products
-        self._places = list_places([assembly.shape[1] for assembly in assemblies])
+        self._places = _list_places([assembly.shape[1] for assembly in assemblies])
         # Side by side: to call a product with a small matrix takes longer than to compute it.
         self._assembly = sparse.hstack(assemblies, format="csc").tocsr()
         # Made once: making the matrix takes longer than its product with a vector.
@@ -242,7 +241,7 @@ class DualSchurOperator:
     def __init__(self, exchange: Exchange, local_duals: Sequence[LocalDual]) -> None:
         self.exchange = exchange
         self._local_duals = local_duals
-        self._fields = list_places([local.operator.n for local in local_duals])
+        self._fields = _list_places([local.operator.n for local in local_duals])
         self._jump = sparse.hstack([local.jump for local in local_duals], format="csc").tocsr()
         self._jump_transposed = self._jump.T.tocsr()
         incidence = sparse.hstack([local.incidence for local in local_duals], format="csc").tocsr()
@@ -356,10 +355,7 @@ class DualProblem:
         return free - self.operator.solve_forces(v)
 
     def append_motion(self, du: Field, multipliers: PETSc.Vec) -> Field:
-        """Append the corrections of cameras' motions, pixels, to those of the fields; collective.
-
-        They are taken from the multipliers v, among which are kappa alpha.
-        """
+        """Append the corrections of cameras' motions, pixels, of which the multipliers hold kappa alpha; collective."""
         v = self.exchange.fetch_ghosts(multipliers)
         return du.with_parts(
             du_s if local.motion is None else np.concatenate([du_s, v[local.motion.rows] / local.motion.scale])

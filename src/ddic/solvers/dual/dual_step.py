@@ -151,28 +151,11 @@ UNREACHED = 1e-300
 """Residual norm that no iteration reaches, where another test is to stop it, and that is not quite zero."""
 
 
-class InterfaceSolver:
-    """GMRES on S_tot, right-preconditioned, which remembers earlier right-hand sides.
+class _InterfaceSolver:
+    """GMRES on S_tot, right-preconditioned by P, which remembers earlier right-hand sides.
 
-    PETSc options (prefix ``dual_``): ``-dual_ksp_monitor``, ``-dual_ksp_type``, ``-dual_ksp_rtol``...
-
-    Parameters
-    ----------
-    operator, preconditioner : DualSchurOperator, Preconditioning or None
-        S_tot and P.
-    coarse : CoarseSpace or None
-        Coarse space of the preconditioner, which wants residuals free of it.
-    settings : DualSettings
-        Tolerance on |t_tot - S_tot v| / |t_tot|, most iterations, and whether directions are kept.
-
-    Attributes
-    ----------
-    multipliers, residual : PETSc.Vec
-        v, the last solution, from which the next one starts, and t_tot - S_tot v.
-    ksp : PETSc.KSP
-        PETSc's solver.
-    tolerance : float
-        The same after options.
+    ``multipliers`` are v, the last solution, from which the next one starts, ``residual`` is t_tot - S_tot v. A
+    preconditioner with a coarse space wants residuals free of it.
     """
 
     def __init__(self, operator: DualSchurOperator, preconditioner: Preconditioning | None,
@@ -312,7 +295,7 @@ class DualStep:
             preconditioner, coarse = build_preconditioner(stack, self._problem, settings.preconditioner,
                                                           settings.local_inverse, clock)
             self._has_preconditioner = preconditioner is not None
-            self._interface = stack.keep(InterfaceSolver(self._problem.operator, preconditioner, coarse, settings))
+            self._interface = stack.keep(_InterfaceSolver(self._problem.operator, preconditioner, coarse, settings))
             self._right = stack.keep(self._problem.exchange.create_vector())
             self._objects = stack.pop_all()
 

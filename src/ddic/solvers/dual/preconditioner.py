@@ -23,13 +23,7 @@ from ddic.solvers.dual.coarse_space import (
     build_coarse_columns,
     find_unlike_neighbours,
 )
-from ddic.solvers.dual.dual_problem import (
-    DualProblem,
-    DualSchurOperator,
-    LocalDual,
-    PackedSymmetric,
-    SumOverSubdomains,
-)
+from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, LocalDual, PackedSymmetric, SumOverSubdomains
 from ddic.solvers.exchange import Exchange, fetch_copies
 from ddic.solvers.petsc import (
     INVERSE,
@@ -47,7 +41,6 @@ class Preconditioning(Protocol):
 
     def apply(self, pc: PETSc.PC | None, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Apply y = P x to residuals x: PETSc's callback."""
-        ...
 
 
 class SparseInverse:

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.images.rigid import fill_absent
+from ddic.methods.sweep import render_virtual_image
 from ddic.synth.fields import Affine, DisplacementField, Sinusoidal
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture
-from ddic.synth.virtual_image import render_virtual_image
 
 SIDE = 160
 

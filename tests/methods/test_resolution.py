@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from ddic.case.loader import parse_case_text
-from ddic.case.resolution import list_element_sizes, list_wavelengths, set_resolution
 from ddic.case.schema import Case
+from ddic.methods.sweep import list_element_sizes, list_wavelengths, set_resolution
 
 
 def make_case(mesh: str = 'structured = { region = [0, 0, 90, 200], element_size = 64 }', more: str = "") -> Case:
