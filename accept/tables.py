@@ -156,6 +156,7 @@ TABLES: dict[str, dict[str, str]] = {
     },
     "newcomer": {
         "verdicts": "verdicts.measure_verdicts",
+        "environment": "environment.measure_environment",
     },
     "clean": {
         "pairs": "clean.measure_pairs",
