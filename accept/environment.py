@@ -8,6 +8,7 @@ import sys
 import sysconfig
 import tempfile
 import time
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -32,8 +33,8 @@ N_SHOWN = 6
 def measure_environment(scale: Scale) -> list[Row]:
     """Install a fresh clone as a user does, weigh its environment and run the demo in it; tiny: weigh what is here."""
     if scale.smoke:
-        weights = weigh_needs(Path(sysconfig.get_path("purelib")))
-        return [_judge_size("packages that ddic needs, in this environment", sum(weights.values()), weights)]
+        weights = weigh_needs(find_installed(Path(sysconfig.get_path("purelib"))))
+        return [_judge_size("packages that ddic needs, in this environment", sum(weights.values()), weights, weights)]
     with tempfile.TemporaryDirectory() as outer:
         clone = Path(outer) / "ddic"
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
@@ -41,25 +42,30 @@ def measure_environment(scale: Scale) -> list[Row]:
         _make("install", clone)
         seconds = time.perf_counter() - begin
         counted = subprocess.run(["du", "-sb", ".venv"], cwd=clone, check=True, text=True, capture_output=True).stdout
-        weights = weigh_needs(next((clone / ".venv" / "lib").glob("python*/site-packages")))
-        size = _judge_size("make install in a fresh clone: du -sb .venv", int(counted.split()[0]), weights)
+        installed = find_installed(next((clone / ".venv" / "lib").glob("python*/site-packages")))
+        size = _judge_size("make install in a fresh clone: du -sb .venv", int(counted.split()[0]), installed,
+                           weigh_needs(installed))
         return [replace(size, measured=f"{size.measured}; {seconds:.0f} s"), _judge_demo(_make("demo", clone))]
 
 
-def weigh_needs(folder: Path) -> dict[str, int]:
-    """Weigh ddic and every package that it needs, of those that are installed in a folder.
+def find_installed(folder: Path) -> dict[str, metadata.Distribution]:
+    """Find the packages in a folder ``site-packages``, by name."""
+    return {canonicalize_name(found.name): found for found in metadata.distributions(path=[str(folder)])}
+
+
+def weigh_needs(installed: Mapping[str, metadata.Distribution]) -> dict[str, int]:
+    """Weigh ddic and every package that it needs, of those that are installed.
 
     Parameters
     ----------
-    folder : Path
-        The ``site-packages`` of an environment.
+    installed : mapping
+        Packages by name.
 
     Returns
     -------
     dict
-        Bytes by package, the heaviest first, compiled modules of Python left out.
+        Bytes by name, the heaviest first, compiled modules of Python left out.
     """
-    installed = {canonicalize_name(found.name): found for found in metadata.distributions(path=[str(folder)])}
     asked, weights = ["ddic"], {}
     while asked:
         name = canonicalize_name(asked.pop())
@@ -72,8 +78,8 @@ def weigh_needs(folder: Path) -> dict[str, int]:
     return dict(sorted(weights.items(), key=lambda weight: -weight[1]))
 
 
-def _judge_size(what: str, size: int, weights: dict[str, int]) -> Row:
-    needless = sorted(OF_DEVELOPERS & set(weights))
+def _judge_size(what: str, size: int, names: Iterable[str], weights: Mapping[str, int]) -> Row:
+    needless = sorted(OF_DEVELOPERS.intersection(names))
     heaviest = ", ".join(f"{name} {weights[name] / 1e6:.0f}" for name in list(weights)[:N_SHOWN])
     return Row(what, f"<= {MOST_GB} GB, none of {', '.join(sorted(OF_DEVELOPERS))}",
                f"{size / 1e9:.3f} GB; {', '.join(needless) or 'none of them'}; of it in MB: {heaviest}",
