@@ -1,10 +1,11 @@
-# make demo and make test set everything up first; the stamp makes a second call cost nothing.
+# make demo and make test install what they need first; stamps make a second call cost nothing.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 
 PYTHON := .venv/bin/python
-STAMP := .venv/.ddic-setup
+INSTALL_STAMP := .venv/.ddic-install
+SETUP_STAMP := .venv/.ddic-setup
 BENCH_STAMP := .venv/.ddic-bench
 DOCS_STAMP := .venv/.ddic-docs
 # Processes at a time of the benchmarks that count and do not time.
@@ -15,27 +16,32 @@ SIZE ?= 22000
 # Each of the many processes would else compile all modules anew, where the environment says so.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
+.PHONY: help install setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
 	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
 
-setup: $(STAMP) ## install everything into .venv (done by the other targets when needed)
+install: $(INSTALL_STAMP) ## install ddic and what it needs into .venv (done by make demo when needed)
 
-$(STAMP): pyproject.toml constraints/debian.txt scripts/setup.sh
+setup: $(SETUP_STAMP) ## the same with the tools of tests and lint (done by all other targets when needed)
+
+$(INSTALL_STAMP): pyproject.toml constraints/debian.txt scripts/setup.sh
 	@bash scripts/setup.sh
 
-$(BENCH_STAMP): $(STAMP)
+$(SETUP_STAMP): pyproject.toml constraints/debian.txt scripts/setup.sh
+	@bash scripts/setup.sh dev
+
+$(BENCH_STAMP): $(SETUP_STAMP)
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[bench]'
 	@touch $@
 
-$(DOCS_STAMP): $(STAMP)
+$(DOCS_STAMP): $(SETUP_STAMP)
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[docs]'
 	@touch $@
 
-demo: setup ## render a plate with a hole in tension, measure it on two ranks, print the error
+demo: install ## render a plate with a hole in tension, measure it on two ranks, print the error
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; bash examples/demo/run.sh
 
 test: setup ## run the tests: on one process a core, then on 2, 3 and 4 ranks
@@ -145,7 +151,7 @@ accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay 
 accept-trust: setup ## measure the table of numbers that hold or are nan where something is off: lines (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables trust $(CHECK)
 
-accept-newcomer: setup ## measure the table of a new user's day: verdicts (CHECK=NAME: one check)
+accept-newcomer: setup ## measure the table of a new user's day: verdicts, the environment (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables newcomer $(CHECK)
 
 trials: setup ## try bad inputs and damaged files (ARGS="--sample 40": some; ARGS=mesh.file: those of a name)

@@ -30,8 +30,8 @@ def measure_demo_noise(scale: Scale) -> list[Row]:
                           env=environment(), check=False)
     if done.returncode != 0:
         raise RuntimeError(f"the demo ended with exit code {done.returncode}:\n{done.stderr[-2000:]}")
-    rms = _number_after(r"known field: ([\d.]+) px", done.stdout)
-    floor = _number_after(r"in both images: ([\d.]+) px", done.stdout)
+    rms = number_after(r"known field: ([\d.]+) px", done.stdout)
+    floor = number_after(r"in both images: ([\d.]+) px", done.stdout)
     clean = images("kirsch", "--size", "1000x1000", "--strain", "0.005", "--radius", "100", "--seed", "1",
                    folder=scale.folder("demo_clean") / "images")
     text = (ROOT / "examples" / "demo" / "case.toml").read_text(encoding="utf-8").split("[output]")[0]
@@ -45,7 +45,7 @@ def measure_demo_noise(scale: Scale) -> list[Row]:
                 f"{rms:.5f} px <= {MOST_FLOORS} x {floor:.5f} + {interpolation:.5f} = {bound:.5f} px", rms <= bound)]
 
 
-def _number_after(pattern: str, text: str) -> float:
+def number_after(pattern: str, text: str) -> float:
     """Number that a pattern captures in what the demo printed."""
     found = re.search(pattern, text)
     if found is None:

@@ -158,6 +158,7 @@ TABLES: dict[str, dict[str, str]] = {
         "verdicts": "verdicts.measure_verdicts",
         "starters": "starter_cases.measure_starters",
         "mistakes": "beginner_mistakes.measure_mistakes",
+        "environment": "environment.measure_environment",
     },
     "clean": {
         "pairs": "clean.measure_pairs",

@@ -1,8 +1,8 @@
 """Read the displacement at any point, and hand the fields to other programs.
 
 A virtual extensometer: two points, each displaced as the shape functions of its element say; a point outside the mesh,
-or in a hole, has no displacement (nan). Then the fields go to meshio, which writes some forty formats, and to PyVista,
-which draws them.
+or in a hole, has no displacement (nan). Then the fields go to meshio, which writes some forty formats, and to PyVista
+(`pip install pyvista`), which draws them.
 
     python examples/points_and_meshio.py
 

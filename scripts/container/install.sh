@@ -7,7 +7,7 @@ export DEBIAN_FRONTEND=noninteractive
 apt-get -qq update
 apt-get -qq install -y --no-install-recommends ca-certificates make
 rm -rf .venv
-make setup
+make install
 # numba takes compiled kernels only from folders that it may write to: without this, whoever is not root waits for a
 # minute until they are compiled again.
 find src -name __pycache__ -exec chmod -R a+rwX {} +
