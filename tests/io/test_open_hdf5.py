@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from pathlib import Path
 
 import h5py
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
+from ddic.io import hdf5_file
 from ddic.io.hdf5_file import open_hdf5
 from support.commands import ddic
 
@@ -57,6 +59,24 @@ def test_a_good_file_is_opened(tmp_path: Path, options: dict[str, object]) -> No
     with open_hdf5(path) as file:
         np.testing.assert_array_equal(file["values"][...], values)
         assert file.attrs["title"] == "a text of variable length"
+
+
+def test_nothing_beyond_a_file_is_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[tuple[int, int]] = []
+
+    class Content(mmap.mmap):
+        def find(self, sub: bytes, begin: int, end: int) -> int:
+            searched.append((end, len(self)))
+            return super().find(sub, begin, end)
+
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["title"] = "no array, which would not be searched"
+    monkeypatch.setattr(hdf5_file.mmap, "mmap", Content)
+    open_hdf5(path).close()
+    # Python before 3.11.5 reads one byte more than it is asked to search.
+    size = path.stat().st_size
+    assert set(searched) == {(size - 1, size)}
 
 
 def test_what_cannot_be_listed_is_damaged(tmp_path: Path) -> None:

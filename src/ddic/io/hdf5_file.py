@@ -84,7 +84,9 @@ def _require_finite(path: Path, file: h5py.File) -> None:
 def _is_endless(path: Path, file: h5py.File) -> bool:
     """Whether one of the collections of a file has an object of no size."""
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        for begin, end in _find_gaps(_list_arrays(file), len(content)):
+        # Without the last byte, in which no collection begins: Python before 3.11.5 looks at the byte behind what it
+        # searches, which is no memory where the file fills its pages.
+        for begin, end in _find_gaps(_list_arrays(file), len(content) - 1):
             place = content.find(_SIGNATURE, begin, end)
             while place >= 0:
                 if _has_object_of_no_size(content, place):
