@@ -242,18 +242,6 @@ def _require_radii(ring: Ring) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solution:
-    """Coefficients of u, of the opening mode and of the sliding one, and their variances by noise, (2, n_orders) each.
-
-    And what the series leaves, pixels.
-    """
-
-    coefficients: Array
-    variances: Array
-    rms: float
-
-
-@dataclass(frozen=True, eq=False)
 class _Fit:
     """Centres of the cells, their displacement, whether that was measured, and weights: the roots of their areas.
 
@@ -301,16 +289,16 @@ class _Fit:
             cells = self.find_cells(self.place(ahead), (inner, outer))
             if len(cells) < FEWEST_CELLS:
                 return None
-            found = self.solve(self.place(ahead), (inner, outer), np.arange(-1, HIGHEST_ORDER + 1))
+            terms, variances, _ = self.solve(self.place(ahead), (inner, outer), np.arange(-1, HIGHEST_ORDER + 1))
             # d/dx of r^(1/2) is half of r^(-1/2): a tip that is ahead by d adds -d/2 of the latter.
-            singular, first = found.coefficients[:, 0], found.coefficients[:, 2]
+            singular, first = terms[:, 0], terms[:, 2]
             strength = float(first @ first)
             if strength == 0:
                 return None
             step = -2 * float(singular @ first) / strength
             behind, beyond = (ahead, beyond) if step > 0 else (behind, ahead)
             if abs(step) <= SAME_TIP or (beyond - behind <= SAME_TIP and abs(step) <= inner):
-                variance = 4 * float(found.variances[:, 0] @ first**2) / strength**2
+                variance = 4 * float(variances[:, 0] @ first**2) / strength**2
                 (one, two, stress), of_noise, rms = self._find_factors(ahead, (inner, outer))
                 moved, _, _ = self._find_factors(ahead + 1.0, (inner, outer))
                 of_factors = of_noise + (moved - (one, two, stress)) ** 2 * variance
@@ -327,10 +315,10 @@ class _Fit:
 
     def _find_factors(self, ahead: float, radii: tuple[float, float]) -> tuple[Array, Array, float]:
         """K_I, K_II and T of a tip, without the term that vanishes there, their variances by noise; what is left."""
-        found = self.solve(self.place(ahead), radii, np.arange(HIGHEST_ORDER + 1))
+        terms, variances, rms = self.solve(self.place(ahead), radii, np.arange(HIGHEST_ORDER + 1))
         root = float(np.sqrt(2 * np.pi))
         scales, modes, orders = np.array([2 * root, -2 * root, 8.0]), [0, 1, 0], [1, 1, 2]
-        return scales * found.coefficients[modes, orders], scales**2 * found.variances[modes, orders], found.rms
+        return scales * terms[modes, orders], scales**2 * variances[modes, orders], rms
 
     def choose_radii(self, ring: Ring, ahead: float) -> tuple[tuple[float, float], str]:
         """Radii of the ring about a place, and what the outer one ends at where it is not the one asked for."""
@@ -357,8 +345,8 @@ class _Fit:
                              "radius")
         return (inner, outer), limit
 
-    def solve(self, position: Array, radii: tuple[float, float], orders: IntArray) -> _Solution:
-        """Fit the terms of some orders in a ring about a tip."""
+    def solve(self, position: Array, radii: tuple[float, float], orders: IntArray) -> tuple[Array, Array, float]:
+        """Coefficients of u of both modes and their variances by noise, (2, n_orders) each; what is left, pixels."""
         axes = np.stack([self.along, [-self.along[1], self.along[0]]])
         local = (self.points - position) @ axes.T
         inside = self.find_cells(position, radii)
@@ -372,7 +360,7 @@ class _Fit:
         lengths = radii[1] ** (orders / 2)
         # Weights squared are areas: times its weight, each cell has the same variance.
         variances = self.noise * np.linalg.pinv(matrix.T @ matrix, hermitian=True).diagonal()
-        return _Solution(scaled.reshape(2, -1) / lengths, variances.reshape(2, -1) / lengths**2, rms)
+        return scaled.reshape(2, -1) / lengths, variances.reshape(2, -1) / lengths**2, rms
 
     def find_cells(self, position: Array, radii: tuple[float, float]) -> NDArray[np.intp]:
         """Measured cells in the ring about a tip."""

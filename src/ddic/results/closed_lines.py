@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.errors import ConvergenceError, is_collective
@@ -24,9 +24,6 @@ SURELY_OPEN = 0.5
 CLOSED = 4.0
 """Standard deviations up to which an opening is no more than noise: chance exceeds 3 somewhere along many lines."""
 
-TINY = 1e-300
-"""A length below any that is not 0."""
-
 MOST_PLACES = 5
 """Places whose own standard deviation is looked at, the farthest open first: thin parts have ten times the others'."""
 
@@ -36,9 +33,9 @@ def describe_closed_lines(problem: WeightedProblem, measurement: Measurement) ->
     lines = list_discontinuities(measurement.inputs.case).lines
     notes = []
     for number in range(len(lines)):
-        cuts = [_find_cuts(subdomain, lines, number) for subdomain in measurement.subdomains]
+        found = [_find_jumps(subdomain, lines, number) for subdomain in measurement.subdomains]
         try:
-            told = _describe_closed(problem, measurement, cuts)
+            told = _describe_closed(problem, measurement, found)
         except ConvergenceError as error:
             # What was measured stands without it; what this rank alone raises must end the job.
             if not is_collective(error):
@@ -49,29 +46,13 @@ def describe_closed_lines(problem: WeightedProblem, measurement: Measurement) ->
     return tuple(notes)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cuts:
-    """Nodes of the two parts of the cells that a line cuts, (n, 4) each, and numbers of the cells, (n,)."""
-
-    left: IntArray
-    right: IntArray
-    numbers: IntArray
-
-    def measure_jumps(self, displacement: Array) -> Array:
-        """How far the parts are from each other in the middle of each cell, (n, 2), pixels."""
-        u = displacement.reshape(-1, 2)
-        return np.asarray((u[self.left] - u[self.right]).mean(axis=1))
-
-    def load(self, n_nodes: int, factors: Array) -> Array:
-        """Factors of the nodes' displacements, (n_nodes, 2), in a sum of jumps with factors, (n, 2)."""
-        loads = np.zeros((n_nodes, 2))
-        np.add.at(loads, self.left, factors[:, None] / 4)
-        np.subtract.at(loads, self.right, factors[:, None] / 4)
-        return loads
+_Jumps = tuple[sparse.csr_matrix, IntArray]
+"""From a subdomain's displacements to how far the sides are from each other in the middle of cells, (n, n_nodes); and
+the numbers of the cells, (n,), in the whole mesh."""
 
 
-def _find_cuts(subdomain: Subdomain, lines: Sequence[Array], number: int) -> _Cuts:
-    """The cells that are cut in two and lie nearest to one of the lines."""
+def _find_jumps(subdomain: Subdomain, lines: Sequence[Array], number: int) -> _Jumps:
+    """Of the cells that are cut in two and lie nearest to one of the lines."""
     mesh = subdomain.mesh
     parts = np.zeros(0, np.int64) if mesh.parts is None else mesh.parts.cells
     nodes = pad_cells(mesh)[parts]
@@ -79,23 +60,25 @@ def _find_cuts(subdomain: Subdomain, lines: Sequence[Array], number: int) -> _Cu
     middles, whole, n_parts = np.unique(mesh.nodes[nodes].mean(axis=1), axis=0, return_inverse=True,
                                         return_counts=True)
     nearest = np.argmin([measure_distance(middles, line) for line in lines], axis=0)
-    chosen = (n_parts == 2) & (nearest == number)
     order = np.argsort(whole, kind="stable")
-    left, right = order[chosen[whole[order]]].reshape(-1, 2).T
-    ids = subdomain.cell_ids[parts]
-    return _Cuts(nodes[left], nodes[right], np.minimum(ids[left], ids[right]))
+    pairs = order[((n_parts == 2) & (nearest == number))[whole[order]]].reshape(-1, 2)
+    values = np.tile(np.repeat([0.25, -0.25], 4), len(pairs))
+    rows = np.repeat(np.arange(len(pairs)), 8)
+    matrix = sparse.csr_matrix((values, (rows, nodes[pairs].ravel())), shape=(len(pairs), mesh.n_nodes))
+    return matrix, subdomain.cell_ids[parts][pairs].min(axis=1)
 
 
-def _describe_closed(problem: WeightedProblem, measurement: Measurement, cuts: Sequence[_Cuts]) -> str:
+def _describe_closed(problem: WeightedProblem, measurement: Measurement, found: Sequence[_Jumps]) -> str:
     """Say that a line does not open beyond noise, with its largest opening; empty where it does; collective."""
-    mine = [(cut.numbers, cut.measure_jumps(u)) for cut, u in zip(cuts, measurement.displacements, strict=True)]
+    mine = [(cells, matrix @ u.reshape(-1, 2))
+            for (matrix, cells), u in zip(found, measurement.displacements, strict=True)]
     numbers, jumps = (np.concatenate(of_all) for of_all in zip(*measurement.team.gather_lists(mine), strict=True))
     jumps, numbers = np.nan_to_num(jumps[np.argsort(numbers)]), np.sort(numbers)
     lengths = np.linalg.norm(jumps, axis=1)
     farthest = np.argsort(-lengths, kind="stable")[:MOST_PLACES]
     if not len(lengths) or lengths[farthest[0]] > SURELY_OPEN:
         return ""
-    response = _estimate_response(problem, cuts, numbers, 1.0 - 2.0 * generate_bits(2 * numbers[:, None] + [0, 1], 0))
+    response = _estimate_response(problem, found, numbers, 1.0 - 2.0 * generate_bits(2 * numbers[:, None] + [0, 1], 0))
     if response == 0:
         return ("its line cannot open: the elements that it cuts have too few pixels beside it; use larger elements, "
                 "or move the mesh by half of one")
@@ -106,8 +89,8 @@ def _describe_closed(problem: WeightedProblem, measurement: Measurement, cuts: S
         if deviations and lengths[place] <= CLOSED * sigma * response / np.sqrt(len(numbers)):
             break
         along = np.zeros(jumps.shape)
-        along[place] = jumps[place] / max(lengths[place], TINY)
-        deviations.append(sigma * _estimate_response(problem, cuts, numbers, along))
+        along[place] = jumps[place] / (lengths[place] or 1.0)
+        deviations.append(sigma * _estimate_response(problem, found, numbers, along))
         if lengths[place] > CLOSED * deviations[-1]:
             return ""
     return (f"its line does not open beyond noise: the sides part by {lengths[farthest[0]]:.2g} px at most, where "
@@ -115,8 +98,7 @@ def _describe_closed(problem: WeightedProblem, measurement: Measurement, cuts: S
             "only, or look at the line's place")
 
 
-def _estimate_response(problem: WeightedProblem, cuts: Sequence[_Cuts], numbers: IntArray, factors: Array) -> float:
+def _estimate_response(problem: WeightedProblem, found: Sequence[_Jumps], numbers: IntArray, factors: Array) -> float:
     """Standard deviation of a sum of jumps by noise of a grey level; factors, (n, 2), are those of all cells."""
-    loads = [cut.load(subdomain.mesh.n_nodes, factors[np.searchsorted(numbers, cut.numbers)])
-             for cut, subdomain in zip(cuts, problem.reference.subdomains, strict=True)]
+    loads = [matrix.T @ factors[np.searchsorted(numbers, cells)] for matrix, cells in found]
     return estimate_deviation(problem.team, problem.solver.assembly.systems, problem.solver.step, loads)
