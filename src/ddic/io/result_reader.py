@@ -283,7 +283,7 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
                          ) from error
 
 
-def crop_result(result: Result, low: Array, high: Array) -> Result:
+def clip_result(result: Result, low: Array, high: Array) -> Result:
     """Keep the cells of a result that touch the box from ``low`` to ``high``, (2,) each, pixels, and their nodes.
 
     What is read inside the box is the same, and sooner. Where no cell touches it, the result is kept whole.

@@ -172,7 +172,7 @@ LONGEST_LINE = 100
 """Of a list, characters, from which on its items stand on lines of their own."""
 
 
-def put_shape(text: str, shape: Shape) -> str:
+def set_shape(text: str, shape: Shape) -> str:
     """Write a shape to its place: over the one that is there, or after the last one."""
     document: Any = tomlkit.parse(text)
     value = _convert(shape.describe())

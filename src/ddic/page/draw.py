@@ -38,14 +38,14 @@ from ddic.page.case_text import (
     Shape,
     count_values,
     list_shapes,
-    put_shape,
     remove_shape,
     set_number,
+    set_shape,
 )
 from ddic.page.clicks import ClickDrawer
 from ddic.page.drawn_case import CaseFile, Checked, DrawnCase, check_text, find_mask_outline
-from ddic.page.image_pane import ImagePane, Picture, ScreenRaster
-from ddic.page.layers import Overlay, paint_edges, paint_field
+from ddic.page.image_pane import ImagePane, Rgba, ScreenRaster
+from ddic.page.layers import Overlay, draw_edges, draw_field
 from ddic.page.probe_box import FORMS, ProbeBox
 from ddic.page.view import show_results
 
@@ -73,7 +73,7 @@ class _DrawPage:
         self._undone: list[str] = []
         self._worker = ThreadPoolExecutor(1)
         self._n_asked = 0
-        self.pane = ImagePane(drawn.image, [self._paint])
+        self.pane = ImagePane(drawn.image, [self._draw])
         self._shapes: dict[str, Shape] = {}
         self._make_controls()
         self._follow_text()
@@ -118,7 +118,7 @@ class _DrawPage:
         for box, keys in ((self.element_size, (*MESH, "element_size")),
                           (self.wavelength, ("regularization", "cut_off_wavelength"))):
             box.on_change("value", partial(self._set_number, keys))
-        self.shown.on_change("active", lambda attribute, old, new: self._paint_again())
+        self.shown.on_change("active", lambda attribute, old, new: self._draw_again())
         self.write.on_click(self._write)
 
     @property
@@ -152,7 +152,7 @@ class _DrawPage:
             self.probes.add(name, points)
             return
         kind = BY_NAME[name]
-        self._change(lambda text: put_shape(text, Shape(kind, tuple(points),
+        self._change(lambda text: set_shape(text, Shape(kind, tuple(points),
                                                         count_values(text, kind) if kind.several else 0)))
 
     def _remove(self) -> None:
@@ -169,7 +169,7 @@ class _DrawPage:
         except InputError as error:
             self._tell(error.problems)
             return
-        self._change(lambda text: put_shape(text, Shape(shape.kind, points, shape.place)))
+        self._change(lambda text: set_shape(text, Shape(shape.kind, points, shape.place)))
 
     def _move_points(self) -> None:
         """Take over the points of the shape that were dragged."""
@@ -177,7 +177,7 @@ class _DrawPage:
         points = tuple((float(x), float(y)) for x, y in zip(*map(self._handles.data.get, "xy"), strict=True))
         if shape is not None and len(points) == len(shape.vertices) and points != shape.vertices:
             rounded = tuple(self.drawer.round_point(point) for point in points)
-            self._change(lambda text: put_shape(text, Shape(shape.kind, rounded, shape.place)))
+            self._change(lambda text: set_shape(text, Shape(shape.kind, rounded, shape.place)))
 
     def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
         if new != _find_number(self.text.value, keys):
@@ -225,7 +225,7 @@ class _DrawPage:
         self._checked = checked
         self._outline = find_mask_outline(checked.loaded, self._drawn.image)
         self._show_wavelength()
-        self._paint_again()
+        self._draw_again()
         self._tell(checked.problems)
 
     def _tell(self, problems: Sequence[str]) -> None:
@@ -249,27 +249,27 @@ class _DrawPage:
         x, y = mesh.nodes.min(axis=0).tolist()
         self._wave.data = {"x": [x], "y": [y], "x1": [x + wavelength], "text": [f"l_c = {wavelength:g} px"]}
 
-    def _paint_again(self) -> None:
+    def _draw_again(self) -> None:
         mesh = self._checked.mesh
         is_weak = np.zeros(0, dtype=bool)
         if mesh is not None and WEAK in self._get_shown():
             is_weak = self._drawn.pattern.find_bare(mesh.nodes)
         nodes = mesh.nodes[is_weak] if mesh is not None and len(is_weak) else np.zeros((0, 2))
         self._weak.data = {"x": nodes[:, 0], "y": nodes[:, 1]}
-        self.pane.paint()
+        self.pane.draw()
 
     def _get_shown(self) -> list[str]:
         return [self.shown.labels[number] for number in self.shown.active]
 
-    def _paint(self, picture: Picture, raster: ScreenRaster) -> None:
+    def _draw(self, rgba: Rgba, raster: ScreenRaster) -> None:
         mesh = self._checked.mesh
         if mesh is None or not mesh.n_cells:
             return
         if TEXTURE in self._get_shown():
             strength = np.log10(np.maximum(self._drawn.pattern.find_strength(mesh.centroids), 1e-12))
-            paint_field(picture, Overlay.find(mesh, raster).sample(strength, by_cell=True), STRENGTHS, "RdYlGn")
+            draw_field(rgba, Overlay.find(mesh, raster).interpolate(strength, by_cell=True), STRENGTHS, "RdYlGn")
         if EDGES in self._get_shown():
-            paint_edges(picture, raster, mesh, (90, 200, 255))
+            draw_edges(rgba, raster, mesh, (90, 200, 255))
 
     def _show_numbers(self) -> None:
         shape = self._shapes.get(self.chosen.value)

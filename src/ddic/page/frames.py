@@ -113,7 +113,7 @@ class Frames:
         return f"{self.path.name}{called}, time {format_number(float(time))}{verdict}"
 
 
-def displace_mesh(result: Result) -> Mesh:
+def move_mesh(result: Result) -> Mesh:
     """The mesh as it lies in the deformed image; cells that were not measured are where they were."""
     moved = np.where(np.isfinite(result.displacement), result.displacement, 0.0)
     return Mesh(result.mesh.nodes + moved, result.mesh.connectivity, result.mesh.offsets, result.mesh.types)

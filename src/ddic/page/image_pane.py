@@ -1,4 +1,4 @@
-"""An image in the browser that is zoomed and moved: what is in sight is read, painted over and sent anew.
+"""An image in the browser that is zoomed and moved: what is in sight is read, drawn over and sent anew.
 
 The whole of it is never sent.
 """
@@ -36,13 +36,13 @@ CONTRAST = (0.5, 99.5)
 
 Box = tuple[float, float, float, float]
 
-Picture = NDArray[np.uint8]
+Rgba = NDArray[np.uint8]
 """(height, width, 4): red, green, blue and opacity."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScreenRaster:
-    """A picture of a part of the image plane.
+    """A part of the image plane, reduced or enlarged to the screen.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ SETTLED_MS = 120
 POINTER_MS = 60
 """From one place of the pointer that is told to the next."""
 
-Layer = Callable[[Picture, ScreenRaster], None]
+Layer = Callable[[Rgba, ScreenRaster], None]
 
 FOLLOW_POINTER = """
 const now = Date.now();
@@ -175,14 +175,14 @@ else source.tags = [source.tags[0], setTimeout(tell, pause)];
 
 
 class ImagePane:
-    """A figure of an image, with layers painted over it.
+    """A figure of an image, with layers drawn over it.
 
     Parameters
     ----------
     image : ScreenImage
         The image.
     layers : sequence of callable
-        Paint over a picture of the raster in sight, one after the other.
+        Draw over the raster in sight, one after the other.
     largest_side : int
         Of the figure, pixels of the screen.
     name : str
@@ -223,7 +223,7 @@ class ImagePane:
         """Pixels of the image along a pixel of the screen."""
         return (self.box[2] - self.box[0]) / self._size[0]
 
-    def follow_pointer(self, tell: Callable[[float, float], None]) -> None:
+    def send_pointer(self, tell: Callable[[float, float], None]) -> None:
         """Tell of the pointer's place in the image, now and then while it moves."""
         source = ColumnDataSource({"x": [], "y": []}, tags=[0, 0])
         source.on_change("data", lambda attribute, old, new: tell(new["x"][0], new["y"][0]))
@@ -240,9 +240,9 @@ class ImagePane:
         """Show an image of the same size."""
         if image is not self.image:
             self.image = image
-            self.look()
+            self.renew()
         else:
-            self.paint()
+            self.draw()
 
     def _wait_for_rest(self, event: object) -> None:
         if not self._pending:
@@ -251,19 +251,19 @@ class ImagePane:
 
     def _look_together(self) -> None:
         for pane in (self, *self._partners):
-            pane.look()
+            pane.renew()
 
-    def look(self) -> None:
-        """Read what is in sight, and paint it."""
+    def renew(self) -> None:
+        """Read what is in sight, and draw it."""
         self._pending = False
         self.raster = self.image.read(self.box, *self._size)
-        self.paint()
+        self.draw()
 
-    def paint(self) -> None:
-        """Paint the layers over what was read, and send it."""
-        picture = np.asarray(cv2.cvtColor(self.raster.grey, cv2.COLOR_GRAY2RGBA))
-        for paint in self.layers:
-            paint(picture, self.raster)
+    def draw(self) -> None:
+        """Draw the layers over what was read, and send it."""
+        rgba = np.asarray(cv2.cvtColor(self.raster.grey, cv2.COLOR_GRAY2RGBA))
+        for layer in self.layers:
+            layer(rgba, self.raster)
         x0, y0, x1, y1 = self.raster.box
-        packed = np.ascontiguousarray(picture).view(np.uint32)[..., 0]
+        packed = np.ascontiguousarray(rgba).view(np.uint32)[..., 0]
         self._shown.data = {"image": [packed], "x": [x0], "y": [y0], "dw": [x1 - x0], "dh": [y1 - y0]}

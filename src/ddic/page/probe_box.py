@@ -86,7 +86,7 @@ class ProbeBox:
         self._changed([])
 
     def _draw(self) -> None:
-        outlines = [outline_probe(probe) for probe in self.probes]
+        outlines = [make_outline(probe) for probe in self.probes]
         self._drawn.data = {
             "xs": [outline[:, 0].tolist() for outline in outlines],
             "ys": [outline[:, 1].tolist() for outline in outlines],
@@ -108,7 +108,7 @@ def _make_probe(kind: str, name: str, points: list[Point]) -> Probe:
     return StrainGauge(name, centre, round(math.dist(start, end), 2), angle=round(angle, 2))
 
 
-def outline_probe(probe: Probe) -> Array:
+def make_outline(probe: Probe) -> Array:
     """Outline a probe as it is drawn, (n, 2), pixels: its point, its line, or the rectangle of a gauge."""
     if isinstance(probe, PointProbe):
         return np.array([probe.point])
@@ -156,10 +156,10 @@ class ProbeReadings:
         self.profile, self.curves = (
             figure(width=440, height=260, toolbar_location=None, tools="hover", name=name, visible=False)
             for name in ("profile", "curves"))
-        self.quantity.on_change("value", lambda attribute, old, new: self._show())
+        self.quantity.on_change("value", lambda attribute, old, new: self._show_known())
         document.on_session_destroyed(lambda context: self._worker.shutdown(wait=False, cancel_futures=True))
 
-    def ask(self, frames: Frames, probes: Sequence[Probe], number: int) -> None:
+    def show(self, frames: Frames, probes: Sequence[Probe], number: int) -> None:
         """Show what probes read on a frame, from 0, and on all others."""
         self._asked = frames, probes, number
         missing = [probe for probe in probes if (frames, probe) not in self._known]
@@ -167,7 +167,7 @@ class ProbeReadings:
             self.table.text = "reading ..."
             self._worker.submit(self._read, frames, missing)
         else:
-            self._show()
+            self._show_known()
 
     def gather(self, frames: Frames, probes: Sequence[Probe]) -> list[ProbeRecord]:
         """Gather what probes read on all frames, in the order of their times."""
@@ -183,9 +183,9 @@ class ProbeReadings:
     def _take(self, read: dict[tuple[Frames, Probe], list[ProbeRecord]]) -> None:
         self._known |= read
         if self._asked is not None:
-            self.ask(*self._asked)
+            self.show(*self._asked)
 
-    def _show(self) -> None:
+    def _show_known(self) -> None:
         if self._asked is None:
             return
         frames, probes, number = self._asked

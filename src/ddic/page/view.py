@@ -35,9 +35,9 @@ from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_text import Point
 from ddic.page.clicks import ClickDrawer
-from ddic.page.frames import BY_NAME, FieldChoice, Frames, describe_point, displace_mesh, find_hatched
-from ddic.page.image_pane import ImagePane, Picture, ScreenImage, ScreenRaster
-from ddic.page.layers import Overlay, hatch, list_colours, paint_field
+from ddic.page.frames import BY_NAME, FieldChoice, Frames, describe_point, find_hatched, move_mesh
+from ddic.page.image_pane import ImagePane, Rgba, ScreenImage, ScreenRaster
+from ddic.page.layers import Overlay, draw_field, draw_hatching, list_colours
 from ddic.page.probe_box import FORMS, ProbeBox, ProbeReadings
 from ddic.plots import canvas, figures, maps
 from ddic.probes.probes import Probe
@@ -89,18 +89,18 @@ class _FieldPane:
         self.subtracted: Frames | None = None
         self._overlays: dict[Path, tuple[Mesh, ScreenRaster, Overlay]] = {}
         self.limits = (0.0, 1.0)
-        self.pane = ImagePane(image, [self._paint], side, name)
+        self.pane = ImagePane(image, [self._draw], side, name)
         self._colours = LinearColorMapper(palette=["#000000"], low=0.0, high=1.0)
         # Numbers padded with blanks: room for those that come later.
         self._bar = ColorBar(color_mapper=self._colours, title="", width=12,
                              formatter=PrintfTickFormatter(format="%-9.3g"))
         self.pane.figure.add_layout(self._bar, "right")
-        self.pane.follow_pointer(page.point_at)
+        self.pane.send_pointer(page.point_at)
 
     def _find_overlay(self, frames: Frames, result: Result, raster: ScreenRaster) -> Overlay:
         """Where the screen's pixels lie in a mesh; the search is kept as long as neither changes."""
         moved = self._page.is_moved
-        mesh = displace_mesh(result) if moved else result.mesh
+        mesh = move_mesh(result) if moved else result.mesh
         kept = self._overlays.get(frames.path)
         if kept is not None and kept[1] is raster and _is_same(kept[0], mesh):
             return kept[2]
@@ -108,7 +108,7 @@ class _FieldPane:
         self._overlays[frames.path] = (mesh, raster, overlay)
         return overlay
 
-    def _paint(self, picture: Picture, raster: ScreenRaster) -> None:
+    def _draw(self, rgba: Rgba, raster: ScreenRaster) -> None:
         page = self._page
         if self.frames is None:
             return
@@ -117,7 +117,7 @@ class _FieldPane:
         if values is None:
             return
         overlay = self._find_overlay(self.frames, result, raster)
-        sampled = overlay.sample(values.values, by_cell=values.by_cell)
+        sampled = overlay.interpolate(values.values, by_cell=values.by_cell)
         scaled = values.values
         title = values.label
         if self.subtracted is not None:
@@ -125,15 +125,15 @@ class _FieldPane:
             less = page.field.find_values(other)
             if less is None:
                 return
-            sampled = sampled - self._find_overlay(self.subtracted, other, raster).sample(less.values,
+            sampled = sampled - self._find_overlay(self.subtracted, other, raster).interpolate(less.values,
                                                                                           by_cell=less.by_cell)
             scaled, title = sampled, f"difference of {title}"
         self.limits = page.scale.find_limits(scaled)
-        paint_field(picture, sampled, self.limits, page.palette)
+        draw_field(rgba, sampled, self.limits, page.palette)
         if page.hatches:
             excluded, doubtful = find_hatched(result)
-            hatch(picture, overlay.find_pixels(excluded), EXCLUDED_COLOUR)
-            hatch(picture, overlay.find_pixels(doubtful), DOUBTFUL_COLOUR)
+            draw_hatching(rgba, overlay.find_pixels(excluded), EXCLUDED_COLOUR)
+            draw_hatching(rgba, overlay.find_pixels(doubtful), DOUBTFUL_COLOUR)
         self._colours.update(palette=["#{:02x}{:02x}{:02x}".format(*colour) for colour in list_colours(page.palette)],
                              low=self.limits[0], high=self.limits[1])
         self._bar.title = _write_plainly(title)
@@ -225,7 +225,7 @@ class _ViewPage:
         for control in (self.left, self.right):
             control.on_change("value", lambda attribute, old, new: self._choose_results())
         for control in (self.choice, self.colours, self.low, self.high, self.low_share, self.high_share):
-            control.on_change("value", lambda attribute, old, new: self._paint())
+            control.on_change("value", lambda attribute, old, new: self._draw())
         self.shown.on_change("active", lambda attribute, old, new: self._show_images())
         self.slider.on_change("value", lambda attribute, old, new: self._change_frame(new))
 
@@ -309,9 +309,9 @@ class _ViewPage:
                 del self._images[other]
         return self._images[path]
 
-    def _paint(self) -> None:
+    def _draw(self) -> None:
         for shown in self._panes:
-            shown.pane.paint()
+            shown.pane.draw()
 
     def _tell(self) -> None:
         """Name what is shown, with its verdict; its convergence and what the probes read."""
@@ -339,7 +339,7 @@ class _ViewPage:
             self._read_probes()
 
     def _read_probes(self) -> None:
-        self.readings.ask(self._results[self.left.value], self.probes.probes, self.number)
+        self.readings.show(self._results[self.left.value], self.probes.probes, self.number)
 
     # What leaves the page.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ddic.arrays import Array
 from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
-from ddic.io.result_reader import Result, crop_result
+from ddic.io.result_reader import Result, clip_result
 from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
 from ddic.probes.probes import (
@@ -94,7 +94,7 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
         time = float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
         for probe in probes:
             samples = list_samples(probe)
-            near = crop_result(result, samples.min(axis=0), samples.max(axis=0))
+            near = clip_result(result, samples.min(axis=0), samples.max(axis=0))
             records.append(ProbeRecord(time, result.path.name, measure_probe(near, probe, measure),
                                        estimate_metrology(near, probe, noise), find_length_unit(result)))
     return sorted(records, key=lambda record: record.time)
