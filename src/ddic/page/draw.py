@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from html import escape
 
@@ -34,9 +36,10 @@ from ddic.page.case_text import (
     CLICKS,
     FEWEST,
     MESH,
+    Kind,
     Point,
     Shape,
-    count_values,
+    find_place,
     list_shapes,
     remove_shape,
     set_number,
@@ -152,8 +155,7 @@ class _DrawPage:
             self.probes.add(name, points)
             return
         kind = BY_NAME[name]
-        self._change(lambda text: set_shape(text, Shape(kind, tuple(points),
-                                                        count_values(text, kind) if kind.several else 0)))
+        self._change(lambda text: set_shape(text, self._make_shape(kind, points, find_place(text, kind))))
 
     def _remove(self) -> None:
         shape = self._shapes.get(self.chosen.value)
@@ -169,15 +171,34 @@ class _DrawPage:
         except InputError as error:
             self._tell(error.problems)
             return
-        self._change(lambda text: set_shape(text, Shape(shape.kind, points, shape.place)))
+        self._change(lambda text: set_shape(text, replace(shape, vertices=points)))
 
     def _move_points(self) -> None:
         """Take over the points of the shape that were dragged."""
         shape = self._shapes.get(self.chosen.value)
-        points = tuple((float(x), float(y)) for x, y in zip(*map(self._handles.data.get, "xy"), strict=True))
-        if shape is not None and len(points) == len(shape.vertices) and points != shape.vertices:
-            rounded = tuple(self.drawer.round_point(point) for point in points)
-            self._change(lambda text: set_shape(text, Shape(shape.kind, rounded, shape.place)))
+        points = [(float(x), float(y)) for x, y in zip(*map(self._handles.data.get, "xy"), strict=True)]
+        if shape is None or tuple(points) == shape.vertices:
+            return
+        if len(points) != len(shape.vertices):
+            # One was taken out, which no text says.
+            self._show_numbers()
+            return
+        moved = [point if point == before else self.drawer.round_point(point)
+                 for point, before in zip(points, shape.vertices, strict=True)]
+        changed = self._make_shape(shape.kind, moved, shape.place)
+        if shape.kind.form == "circle" and moved[0] != shape.vertices[0]:
+            # The rim goes with the centre.
+            (x, y), (x0, y0), (x1, y1) = moved[0], *shape.vertices
+            changed = replace(shape, vertices=((x, y), (x + x1 - x0, y + y1 - y0)))
+        self._change(lambda text: set_shape(text, changed))
+
+    def _make_shape(self, kind: Kind, points: Sequence[Point], place: int) -> Shape:
+        """Make a shape of what was clicked; the radius of a circle has the digits of the screen, too."""
+        if kind.form == "circle":
+            (x, y), rim = points
+            radius, _ = self.drawer.round_point((math.dist((x, y), rim), 0.0))
+            points = [(x, y), (x + radius, y)]
+        return Shape(kind, tuple(points), place)
 
     def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
         if new != _find_number(self.text.value, keys):
