@@ -53,17 +53,18 @@ def known(mesh: Mesh, **more: object) -> Result:
 @cache
 def make(case: str) -> Result:
     square = (0.0, 0.0, SIDE, SIDE)
-    if case == "mixed cells":
-        return known(grid_mesh(15, 15, (8.0, 8.0), cells="mixed", jitter=0.2))
-    if case == "hole":
-        return known(build_structured_mesh(square, 8.0, "T3", circles=[((60.0, 60.0), 25.0)]))
-    if case == "fine and coarse":
+    plain = build_structured_mesh(square, 8.0)
+    meshes = {
+        "mixed cells": grid_mesh(15, 15, (8.0, 8.0), cells="mixed", jitter=0.2),
+        "hole": build_structured_mesh(square, 8.0, "T3", circles=[((60.0, 60.0), 25.0)]),
         # Spacing changes over the mesh: its mean is another one than that of the cells about a probe.
-        mesh = build_structured_mesh(square, 8.0)
-        return known(replace(mesh, nodes=SIDE * (mesh.nodes / SIDE)**2))
+        "fine and coarse": replace(plain, nodes=SIDE * (plain.nodes / SIDE)**2),
+    }
+    if case in meshes:
+        return known(meshes[case])
     if case == "discontinuity":
         line = np.array([[-5.0, 33.0], [70.3, 61.7]])
-        mesh = cut_mesh(build_structured_mesh(square, 8.0), [line]).mesh
+        mesh = cut_mesh(plain, [line]).mesh
         sections = '{"discontinuity": [{"vertices": [[-5.0, 33.0], [70.3, 61.7]]}]}'
         return known(mesh, attributes={schema.CASE: {"json": sections, schema.NOISE_FLOOR: 0.01}})
     if case == "separated":
@@ -71,8 +72,8 @@ def make(case: str) -> Result:
         random = np.random.default_rng(1)
         field = SeparatedField(along_x, along_y, random.normal(size=(3, 2)),
                                random.normal(size=(3, 2, along_x.n_nodes)), random.normal(size=(3, 2, along_y.n_nodes)))
-        return known(build_structured_mesh(square, 8.0), separated=field)
-    result = known(build_structured_mesh(square, 8.0))
+        return known(plain, separated=field)
+    result = known(plain)
     if case == "excluded":
         # Nodes whose cells all were excluded.
         unknown = np.linalg.norm(result.mesh.nodes - [40.0, 80.0], axis=1) < 20.0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 from bokeh.events import ButtonClick, DoubleTap, Event, Tap
-from bokeh.models import Button, Div, Model, Plot
+from bokeh.models import Button, Div, Model, Plot, Widget
 from bokeh.server.callbacks import NextTickCallback, PeriodicCallback, TimeoutCallback
 from numpy.typing import NDArray
 
@@ -61,7 +61,8 @@ class Tab:
 
     def widget(self, title: str) -> Any:
         """The widget of a title."""
-        found = [model for model in self.document.models if getattr(model, "title", None) == title]
+        found = [model for model in self.document.models if isinstance(model, Widget) and hasattr(model, "title")
+                 and model.title == title]
         assert len(found) == 1, f"{len(found)} of {title}"
         return found[0]
 

@@ -30,6 +30,7 @@ from tomlkit.exceptions import TOMLKitError
 
 from ddic.case.loader import load_text_leniently
 from ddic.errors import InputError
+from ddic.io.result_schema import not_converged_path
 from ddic.page.case_run import RunBox
 from ddic.page.case_text import (
     BY_NAME,
@@ -72,7 +73,7 @@ class _DrawPage:
         self._drawn, self._document = drawn, document
         self._checked = Checked(None, None, None, [])
         self._outline = np.zeros((0, 2))
-        self._file = CaseFile(drawn)
+        self._file = CaseFile(drawn.path)
         self._undone: list[str] = []
         self._worker = ThreadPoolExecutor(1)
         self._n_asked = 0
@@ -100,8 +101,8 @@ class _DrawPage:
         forms = {kind.name: (FEWEST[kind.form], kind.form in ("polygon", "line"), CLICKS[kind.form])
                  for kind in BY_NAME.values()}
         self.drawer = ClickDrawer(self.pane, {**forms, **FORMS}, self._take, self._snap)
-        self.text = TextAreaInput(title=str(self._drawn.path), value=self._drawn.text, rows=22, width=430,
-                                  max_length=None,
+        self.text = TextAreaInput(title=str(self._drawn.path), value=self._file.text or self._drawn.text, rows=22,
+                                  width=430, max_length=None,
                                   stylesheets=["textarea { font-family: monospace; white-space: pre; }"])
         self.text.on_change("value", lambda attribute, old, new: self._keep(old))
         self.chosen = Select(title="Drawn", options=[], value="")
@@ -215,7 +216,7 @@ class _DrawPage:
         text = self.text.value
         try:
             data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             data = None
         if data is not None:
             self._shapes = {shape.name: shape for shape in list_shapes(data)}
@@ -251,8 +252,8 @@ class _DrawPage:
 
     def _tell(self, problems: Sequence[str]) -> None:
         """Say what is wrong, or what the check found."""
-        if problems:
-            said = "<br>".join(escape(line) for line in problems)
+        if problems or self._checked.problems:
+            said = "<br>".join(escape(line) for line in problems or self._checked.problems)
             self.messages.text = f'<div style="color: #b00020">{said}</div>'
         elif self._checked.report is not None:
             rows = "".join(f"<tr><td><b>{escape(name)}</b></td><td>{escape(value)}</td></tr>"
@@ -319,12 +320,14 @@ class _DrawPage:
         return True
 
     def _open_result(self) -> None:
-        """Show what was measured in a tab beside the drawing, in the place of what was shown there before."""
+        """Show what was measured in a tab beside the drawing, also where it was stopped or did not converge."""
         loaded, _ = load_text_leniently(self._file.text or "", self._drawn.path)
-        if loaded is None or not loaded.case.output.file.exists():
+        files = [] if loaded is None else [loaded.case.output.file, not_converged_path(loaded.case.output.file)]
+        written = [file for file in files if file.exists() and file.stat().st_mtime >= self._drawn.run.start_time]
+        if not written:
             return
         try:
-            layout = show_results([loaded.case.output.file], self.probes.probes, self._document)
+            layout = show_results(written[:1], self.probes.probes, self._document)
         except InputError as error:
             self._tell(error.problems)
             return
@@ -338,13 +341,13 @@ def _find_number(text: str, keys: tuple[str, ...]) -> float | None:
         data = tomllib.loads(text)
         for key in keys:
             data = data[key]
-    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
+    except (ValueError, KeyError, TypeError, OverflowError):
         return None
-    return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
 
 
 def _write_points(shape: Shape) -> str:
-    return "; ".join(f"{x:g}, {y:g}" for x, y in shape.vertices)
+    return "; ".join(f"{x:.12g}, {y:.12g}" for x, y in shape.vertices)
 
 
 def _read_points(typed: str, fewest: int) -> tuple[Point, ...]:

@@ -51,16 +51,18 @@ class ProbeBox:
         To begin with.
     changed : callable
         Told of every change, with what is wrong with the text.
+    move : callable or None
+        Moves points of the reference image, (n, 2), pixels, to where they are seen.
     """
 
-    def __init__(self, probes: list[Probe], changed: Callable[[list[str]], None]) -> None:
+    def __init__(self, probes: list[Probe], changed: Callable[[list[str]], None],
+                 move: Callable[[Array], Array] | None = None) -> None:
         self.probes = probes
-        self._changed = changed
+        self._changed, self._move = changed, move
         self.text = TextAreaInput(title="Probes (a file for ddic probe --probes)", rows=7, width=430,
                                   value="\n".join(map(format_probe, probes)))
         self.text.on_change("value", lambda attribute, old, new: self._read())
         self._drawn = ColumnDataSource({"xs": [], "ys": [], "x": [], "y": [], "name": []})
-        self._draw()
 
     def show_on(self, pane: ImagePane) -> None:
         """Draw the probes over an image."""
@@ -82,11 +84,13 @@ class ProbeBox:
         except InputError as error:
             self._changed(list(error.problems))
             return
-        self._draw()
+        self.draw()
         self._changed([])
 
-    def _draw(self) -> None:
+    def draw(self) -> None:
+        """Draw the probes, anew where they are seen elsewhere."""
         outlines = [make_outline(probe) for probe in self.probes]
+        outlines = outlines if self._move is None else [self._move(outline) for outline in outlines]
         self._drawn.data = {
             "xs": [outline[:, 0].tolist() for outline in outlines],
             "ys": [outline[:, 1].tolist() for outline in outlines],
@@ -177,8 +181,15 @@ class ProbeReadings:
         return sorted(records, key=lambda record: record.time)
 
     def _read(self, frames: Frames, probes: Sequence[Probe]) -> None:
-        read = _read_frames(frames, probes)
+        try:
+            read = _read_frames(frames, probes)
+        except InputError as error:
+            self._document.add_next_tick_callback(partial(self._tell, str(error)))
+            return
         self._document.add_next_tick_callback(partial(self._take, read))
+
+    def _tell(self, problem: str) -> None:
+        self.table.text = escape(problem)
 
     def _take(self, read: dict[tuple[Frames, Probe], list[ProbeRecord]]) -> None:
         self._known |= read
