@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import ddic
@@ -18,7 +21,7 @@ from ddic.io import result_schema as schema
 from ddic.io.result_pieces import Piece
 from ddic.io.result_writer import ResultWriter
 from ddic.mesh.structured import build_structured_mesh
-from ddic.probes.probes import parse_probe
+from ddic.probes.probes import format_probe, parse_probe, parse_probes
 from probes.conftest import MakeResult
 
 Array = NDArray[np.float64]
@@ -160,6 +163,32 @@ def test_results_of_several_pixel_sizes_are_refused(tmp_path: Path) -> None:
     ran = CliRunner().invoke(probe, [str(tmp_path / "a.vtkhdf"), str(tmp_path / "b.vtkhdf"), "--point", "1,1"])
     assert ran.exit_code == 2
     assert "several pixel sizes" in ran.output
+
+
+finite = st.floats(-1e6, 1e6)
+places = st.tuples(finite, finite)
+sizes = st.floats(1e-3, 1e6)
+names = st.text(st.characters(exclude_categories=("Cs", "Cc")), min_size=1, max_size=8)
+ends = st.tuples(places, places).filter(lambda both: math.dist(*both) > 0)
+any_probe = st.one_of(
+    st.builds(ddic.PointProbe, names, places),
+    st.builds(lambda name, both, share: ddic.LineProbe(name, *both, spacing=share * math.dist(*both)), names, ends,
+              st.floats(1e-4, 10)),
+    st.builds(lambda name, both: ddic.Extensometer(name, *both), names, ends),
+    st.builds(ddic.StrainGauge, names, places, sizes, st.none() | sizes, finite))
+
+
+@given(st.lists(any_probe, max_size=4, unique_by=lambda probe: probe.name))
+def test_what_is_written_of_probes_is_read_as_they_are(probes: list[ddic.PointProbe]) -> None:
+    """To the last bit, with any name."""
+    assert sorted(parse_probes("\n".join(map(format_probe, probes)), Path("p")), key=repr) == sorted(probes, key=repr)
+
+
+def test_probes_are_written_as_by_a_person() -> None:
+    gauge = ddic.StrainGauge("above the hole", (1234.5678, 20.0), 30.0, angle=0.1)
+    assert format_probe(gauge) == ('[gauge."above the hole"]\ncentre = [1234.5678, 20]\nlength = 30\nangle = 0.1\n')
+    assert format_probe(ddic.LineProbe("B", (10.0, 20.05), (50.0, 20.0))) == (
+        "[line.B]\nstart = [10, 20.05]\nend = [50, 20]\n")
 
 
 def test_a_table_without_a_name_is_refused(tmp_path: Path) -> None:

@@ -33,10 +33,10 @@ def draw(image: Path, case_file: Path, deformed: tuple[Path, ...], port: int, *,
         # Imported here because they bring the server, which --help does not need.
         from ddic.page.draw import make_draw_page
         from ddic.page.drawn_case import open_drawn_case
-        from ddic.page.server import serve_page
+        from ddic.page.server import run_server
 
         drawn = open_drawn_case(image, case_file, deformed)
-        serve_page(partial(make_draw_page, drawn), port, _announce, opens_browser=browser)
+        run_server(partial(make_draw_page, drawn), port, _announce, opens_browser=browser)
 
 
 @click.command()
@@ -48,13 +48,13 @@ def view(files: tuple[Path, ...], probes: Path | None, port: int, *, browser: bo
     """Look at results in the browser: fields over the images, values, profiles, curves over a series, exports."""
     with failures_as_lines(files[0]), warnings_as_lines():
         require_page()
-        from ddic.page.server import serve_page
+        from ddic.page.server import run_server
         from ddic.page.view import make_view_page, open_results
         from ddic.probes.probes import load_probes
 
         named = [] if probes is None else load_probes(probes)
         open_results(files)
-        serve_page(partial(make_view_page, files, named), port, _announce, opens_browser=browser)
+        run_server(partial(make_view_page, files, named), port, _announce, opens_browser=browser)
 
 
 def _announce(address: str) -> None:

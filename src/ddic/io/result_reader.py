@@ -19,7 +19,7 @@ from ddic.io import result_schema as schema
 from ddic.io.hdf5_file import READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import as_path, require_file
 from ddic.mesh.cell_parts import find_offsets, list_ranges
-from ddic.mesh.interpolation import differentiate_shapes_at, interpolate, locate
+from ddic.mesh.interpolation import EDGE, differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
 from ddic.separated.field import LineElements, SeparatedField
@@ -283,13 +283,13 @@ def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
                          ) from error
 
 
-def crop_result(result: Result, low: Array, high: Array) -> Result:
+def clip_result(result: Result, low: Array, high: Array) -> Result:
     """Keep the cells of a result that touch the box from ``low`` to ``high``, (2,) each, pixels, and their nodes.
 
     What is read inside the box is the same, and sooner. Where no cell touches it, the result is kept whole.
     """
     lowest, highest = result.mesh.outlines.find_boxes()
-    touches = ((highest >= low - SAME_NODE_PX) & (lowest <= high + SAME_NODE_PX)).all(axis=1)
+    touches = ((highest >= low - 2.0 * EDGE) & (lowest <= high + 2.0 * EDGE)).all(axis=1)
     cells = np.flatnonzero(touches)
     if not len(cells):
         return result

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
@@ -34,12 +35,18 @@ class CaseRun:
     ----------
     case_file : Path
         The case.
+
+    Attributes
+    ----------
+    start_time : float
+        When it was last started, seconds since the epoch: older files are not what it wrote.
     """
 
     def __init__(self, case_file: Path) -> None:
         self._case_file = case_file
         self._process: subprocess.Popen[bytes] | None = None
         self._log: IO[bytes] | None = None
+        self.start_time = 0.0
 
     @property
     def is_running(self) -> bool:
@@ -59,6 +66,8 @@ class CaseRun:
         if n_ranks > 1 and shutil.which(launcher) is None:
             raise InputError(f"{launcher}: not found, for {n_ranks} ranks; run on one")
         on_ranks = [launcher, "-n", str(n_ranks)] if n_ranks > 1 else []
+        # A second for clocks of file systems.
+        self.start_time = time.time() - 1.0
         # A file, and not a pipe that would end it with this process.
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  open as long as it is read
         self._process = subprocess.Popen(
@@ -112,6 +121,7 @@ class RunBox:
             return
         try:
             self._run.start(int(self._ranks.value or 1))
+            self._was_running = True
         except InputError as error:
             self._tell(error.problems)
 

@@ -15,6 +15,7 @@ import tomlkit
 from tomlkit import items
 
 from ddic.arrays import Array
+from ddic.case.loader import DETECT
 from ddic.errors import InputError
 
 Point = tuple[float, float]
@@ -32,6 +33,11 @@ CLICKS = {
 
 N_SIDES = 72
 """Sides of the polygon that a circle is drawn as."""
+
+MESH = ("mesh", "structured")
+REGION = (*MESH, "region")
+LINES = ("discontinuity",)
+NEAR = ("near", "region")
 
 
 @dataclass(frozen=True)
@@ -55,10 +61,11 @@ class Kind:
     form: Form
     several: bool = False
 
+    @property
+    def is_in_list(self) -> bool:
+        """Whether the key itself holds the list, and not each of several sections one of them."""
+        return self.several and self.keys != NEAR
 
-MESH = ("mesh", "structured")
-REGION = (*MESH, "region")
-LINES = ("discontinuity",)
 
 KINDS = (
     Kind("region: rectangle", REGION, "box"),
@@ -68,7 +75,7 @@ KINDS = (
     Kind("hole: polygon", (*MESH, "polygons"), "polygon", several=True),
     Kind("line: crack, shear band", LINES, "line", several=True),
     Kind("edge not controlled: box", ("regularization", "boxes"), "box", several=True),
-    Kind("near field: window", ("near", "region"), "box", several=True),
+    Kind("near field: window", NEAR, "box", several=True),
 )
 
 BY_NAME = {kind.name: kind for kind in KINDS}
@@ -116,8 +123,8 @@ class Shape:
             x, y = zip(*self.vertices, strict=True)
             return [min(x), min(y), max(x), max(y)]
         if self.kind.form == "circle":
-            radius = float(f"{math.dist(*self.vertices):.6g}")
-            return {"center": [*self.vertices[0]], "radius": radius}
+            # Without the rounding of the point on the rim.
+            return {"center": [*self.vertices[0]], "radius": round(math.dist(*self.vertices), 9)}
         return {"vertices": [[*vertex] for vertex in self.vertices]}
 
 
@@ -125,7 +132,7 @@ def read_shape(kind: Kind, value: Any, place: int = 0) -> Shape | None:
     """Read a value of a case file as a shape of a kind; None where it has another form, or is wrong."""
     try:
         vertices = _read_vertices(kind.form, value)
-    except (TypeError, ValueError, KeyError):
+    except (TypeError, ValueError, KeyError, OverflowError):
         return None
     is_finite = all(math.isfinite(number) for vertex in vertices for number in vertex)
     return Shape(kind, vertices, place) if is_finite and len(vertices) >= FEWEST[kind.form] else None
@@ -172,81 +179,93 @@ LONGEST_LINE = 100
 """Of a list, characters, from which on its items stand on lines of their own."""
 
 
-def put_shape(text: str, shape: Shape) -> str:
+def find_place(text: str, kind: Kind) -> int:
+    """Find the place of the next shape of a kind: after the last one, or in the first near field without a window."""
+    taken = [place for place, _ in _list_values(kind, tomlkit.parse(text).unwrap())]
+    return next(place for place in range(len(taken) + 1) if place not in taken) if kind.several else 0
+
+
+def set_shape(text: str, shape: Shape) -> str:
     """Write a shape to its place: over the one that is there, or after the last one."""
-    document: Any = tomlkit.parse(text)
-    value = _convert(shape.describe())
-    kind = shape.kind
-    if kind.keys == LINES:
-        _put_line(document, shape)
-    elif kind.keys[0] == "near":
-        _find_near(document, shape)[kind.keys[-1]] = value
-    else:
-        section = _find_section(document, kind.keys[:-1])
-        if kind.several:
-            _put_in_list(section, kind.keys[-1], shape.place, value)
-        else:
-            _set(section, kind.keys[-1], value)
-    return str(tomlkit.dumps(document))
+    document = _parse(text)
+    holder, key, value = _find_holder(document, shape), shape.kind.keys[-1], shape.describe()
+    if not shape.kind.is_in_list:
+        _set(holder, key, value)
+        return _write(document)
+    if key not in holder and shape.kind.keys == LINES:
+        document.add(tomlkit.nl())
+        document.add(key, tomlkit.aot())
+    elif key not in holder or holder[key] == DETECT:
+        _set(holder, key, [])
+    if not isinstance(holder[key], list):
+        raise InputError(f"{key}: is no list in this text; correct it there")
+    _set_in_list(holder[key], shape.place, value)
+    return _write(document)
 
 
 def remove_shape(text: str, shape: Shape) -> str:
-    """Take a shape out of the text."""
-    document: Any = tomlkit.parse(text)
-    *sections, key = shape.kind.keys
-    if shape.kind.keys == LINES:
-        holder: Any = document[key]
-    elif shape.kind.keys[0] == "near":
-        del _find_near(document, shape)[key]
-        return str(tomlkit.dumps(document))
-    else:
-        holder = _find_section(document, tuple(sections))
-        if not shape.kind.several:
-            del holder[key]
-            return str(tomlkit.dumps(document))
-        holder = holder[key]
-    del holder[shape.place]
-    if not holder:
-        # An empty list of sections would be one without a value.
-        owner = document if shape.kind.keys == LINES else _find_section(document, tuple(sections))
-        del owner[key]
-    return str(tomlkit.dumps(document))
+    """Take a shape out of the text, and what it leaves empty."""
+    document = _parse(text)
+    holder, key = _find_holder(document, shape), shape.kind.keys[-1]
+    if not shape.kind.is_in_list or len(holder[key]) == 1:
+        return _remove_key(document, holder, key)
+    if isinstance(holder[key], items.AoT):
+        return _cut_section(document, holder[key][shape.place])
+    del holder[key][shape.place]
+    return _write(document)
 
 
 def set_number(text: str, keys: tuple[str, ...], value: float | None) -> str:
-    """Set a number of a section, or take it out where it is None."""
-    document: Any = tomlkit.parse(text)
+    """Set a number of a section, or take it out where it is None, and the section that it leaves empty."""
+    document = _parse(text)
     section = _find_section(document, keys[:-1])
     if value is None:
-        section.pop(keys[-1], None)
-        if not section:
-            del document[keys[0]]
-    else:
-        _set(section, keys[-1], _convert(value))
+        return _remove_key(document, section, keys[-1])
+    _set(section, keys[-1], value)
+    return _write(document)
+
+
+def _parse(text: str) -> Any:
+    return tomlkit.parse(text if text.endswith("\n") else text + "\n")
+
+
+def _write(document: Any) -> str:
     return str(tomlkit.dumps(document))
 
 
-def count_values(text: str, kind: Kind) -> int:
-    """Count the values in the list of a kind's key: the place of the next one."""
-    data: Any = tomlkit.parse(text)
-    for key in kind.keys:
-        if not hasattr(data, "get") or key not in data:
-            return 0
-        data = data[key]
-    return len(data)
+def _remove_key(document: Any, section: Any, key: str) -> str:
+    if isinstance(section[key], items.AoT):
+        return _cut_section(document, section[key][0])
+    del section[key]
+    return _cut_section(document, section) if isinstance(section, items.Table) and not section else _write(document)
 
 
-def _convert(value: Any) -> Any:
-    """Numbers as a person writes them: 16 and not 16.0."""
-    if isinstance(value, dict):
-        table = tomlkit.inline_table()
-        table.update({key: _convert(item) for key, item in value.items()})
-        return table
-    if isinstance(value, list):
-        items = tomlkit.array()
-        items.extend(_convert(item) for item in value)
-        return items
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+MARK = "#\0"
+"""A comment that no text can have."""
+
+
+def _cut_section(document: Any, section: items.Table) -> str:
+    """The text without a section; comments in it stay, for the last are often of the next one."""
+    comments = "".join(item.as_string() for key, item in section.value.body if key is None)
+    section.trivia.comment = MARK
+    text = _write(document)
+    if MARK not in text:
+        # Of dotted keys, which have no header.
+        return text
+    begin = text.rfind("\n", 0, text.index(MARK)) + 1
+    end = text.index("\n", begin) + 1 + len(section.as_string())
+    return text[:begin] + comments + text[end:]
+
+
+def _find_holder(document: Any, shape: Shape) -> Any:
+    """The section that holds the key of a shape."""
+    if shape.kind.keys != NEAR:
+        return _find_section(document, shape.kind.keys[:-1])
+    sections = document.get(NEAR[0], [])
+    if not isinstance(sections, list) or shape.place >= len(sections):
+        raise InputError(f"near field {shape.place + 1}: there is no such [[near]] section; write it with its images "
+                         "and mapping first")
+    return sections[shape.place]
 
 
 def _find_section(document: Any, keys: tuple[str, ...]) -> Any:
@@ -254,62 +273,76 @@ def _find_section(document: Any, keys: tuple[str, ...]) -> Any:
     section = document
     for key in keys:
         if key not in section:
-            made = tomlkit.table()
             if section is document:
                 document.add(tomlkit.nl())
-            section.add(key, made)
+            section[key] = tomlkit.table()
         section = section[key]
-    if not isinstance(section, dict):
-        raise InputError(f"{'.'.join(keys)}: is no section in this text; correct it there")
+        if not isinstance(section, dict):
+            raise InputError(f"{'.'.join(keys)}: is no section in this text; correct it there")
     return section
 
 
-def _set(section: Any, key: str, value: Any) -> None:
-    """Set a key; the comment behind it stays."""
-    item = tomlkit.item(value)
-    if key in section:
-        before = section.item(key).trivia
-        item.trivia.comment_ws, item.trivia.comment = before.comment_ws, before.comment
-    section[key] = item
-
-
-def _put_in_list(section: Any, key: str, place: int, value: Any) -> None:
-    if key not in section:
-        section[key] = tomlkit.array()
-    values = section[key]
-    if not isinstance(values, items.Array | items.AoT):
-        raise InputError(f"{key}: is no list in this text; correct it there")
-    if place < len(values):
-        values[place] = value
-    else:
-        values.append(value)
-    if isinstance(values, items.Array):
-        values.multiline(len(values.as_string()) > LONGEST_LINE)
-
-
-def _put_line(document: Any, shape: Shape) -> None:
-    """A discontinuity's vertices, whose section keeps its other keys."""
-    described = shape.describe()
-    vertices = _convert(described["vertices"] if isinstance(described, dict) else described)
-    key = LINES[0]
-    if key in document and not isinstance(document[key], items.AoT):
-        del document[key]
-    if key not in document:
-        document.add(tomlkit.nl())
-        document.add(key, tomlkit.aot())
-    sections = document[key]
-    if shape.place < len(sections):
-        _set(sections[shape.place], "vertices", vertices)
+def _set(holder: Any, key: Any, value: Any) -> None:
+    """Set a key of a section, or an item of a list; what is the same already stays as it was written."""
+    if isinstance(holder, dict) and key not in holder:
+        _append(holder, key, value)
         return
-    made = tomlkit.table()
-    made.add("vertices", vertices)
-    sections.append(made)
+    old = holder[key]
+    if isinstance(value, dict) and isinstance(old, dict) and value.keys() <= old.keys():
+        for name, inner in value.items():
+            _set(old, name, inner)
+    elif isinstance(value, list) and isinstance(old, items.Array):
+        while len(old) > len(value):
+            del old[-1]
+        for place, inner in enumerate(value):
+            _set_in_list(old, place, inner)
+    elif old != value or isinstance(old, bool):
+        item = tomlkit.item(_convert(value))
+        if isinstance(old, items.Item):
+            item.trivia.comment_ws, item.trivia.comment = old.trivia.comment_ws, old.trivia.comment
+        holder[key] = item
 
 
-def _find_near(document: Any, shape: Shape) -> Any:
-    """The section of a near field whose window is drawn."""
-    sections = document.get("near", [])
-    if shape.place >= len(sections):
-        raise InputError(f"near field {shape.place + 1}: the case has {len(sections)} [[near]] sections; write one "
-                         "with its images and mapping first")
-    return sections[shape.place]
+def _append(section: Any, key: str, value: Any) -> None:
+    """Add a key behind the last one: the comments at the end of a section are often those of the next one."""
+    last: list[Any] = []
+    if isinstance(section, items.Table):
+        body = section.value.body
+        while body and body[-1][0] is None:
+            last.insert(0, body.pop())
+    section[key] = _convert(value)
+    if last:
+        section.value.body.extend(last)
+
+
+def _set_in_list(values: Any, place: int, value: Any) -> None:
+    """Set an item of a list, or add it at its end."""
+    if place < len(values):
+        _set(values, place, value)
+    elif isinstance(values, items.AoT):
+        made = tomlkit.table()
+        for name, inner in value.items():
+            made.add(name, _convert(inner))
+        values.append(made)
+    else:
+        values.append(_convert(value))
+        text = values.as_string()
+        if len(text) > LONGEST_LINE and "\n" not in text:
+            values.multiline(True)
+
+
+MOST_WHOLE = 1e15
+"""Below it whole numbers are written as such: 16 and not 16.0."""
+
+
+def _convert(value: Any) -> Any:
+    """A value as a person writes it."""
+    if isinstance(value, dict):
+        table = tomlkit.inline_table()
+        table.update({key: _convert(item) for key, item in value.items()})
+        return table
+    if isinstance(value, list):
+        array = tomlkit.array()
+        array.extend(_convert(item) for item in value)
+        return array
+    return int(value) if float(value).is_integer() and abs(value) < MOST_WHOLE else value

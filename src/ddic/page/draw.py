@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from html import escape
 
@@ -28,24 +30,26 @@ from tomlkit.exceptions import TOMLKitError
 
 from ddic.case.loader import load_text_leniently
 from ddic.errors import InputError
+from ddic.io.result_schema import not_converged_path
 from ddic.page.case_run import RunBox
 from ddic.page.case_text import (
     BY_NAME,
     CLICKS,
     FEWEST,
     MESH,
+    Kind,
     Point,
     Shape,
-    count_values,
+    find_place,
     list_shapes,
-    put_shape,
     remove_shape,
     set_number,
+    set_shape,
 )
 from ddic.page.clicks import ClickDrawer
 from ddic.page.drawn_case import CaseFile, Checked, DrawnCase, check_text, find_mask_outline
-from ddic.page.image_pane import ImagePane, Picture, ScreenRaster
-from ddic.page.layers import Overlay, paint_edges, paint_field
+from ddic.page.image_pane import ImagePane, Rgba, ScreenRaster
+from ddic.page.layers import Overlay, draw_edges, draw_field
 from ddic.page.probe_box import FORMS, ProbeBox
 from ddic.page.view import show_results
 
@@ -69,11 +73,11 @@ class _DrawPage:
         self._drawn, self._document = drawn, document
         self._checked = Checked(None, None, None, [])
         self._outline = np.zeros((0, 2))
-        self._file = CaseFile(drawn)
+        self._file = CaseFile(drawn.path)
         self._undone: list[str] = []
         self._worker = ThreadPoolExecutor(1)
         self._n_asked = 0
-        self.pane = ImagePane(drawn.image, [self._paint])
+        self.pane = ImagePane(drawn.image, [self._draw])
         self._shapes: dict[str, Shape] = {}
         self._make_controls()
         self._follow_text()
@@ -97,8 +101,8 @@ class _DrawPage:
         forms = {kind.name: (FEWEST[kind.form], kind.form in ("polygon", "line"), CLICKS[kind.form])
                  for kind in BY_NAME.values()}
         self.drawer = ClickDrawer(self.pane, {**forms, **FORMS}, self._take, self._snap)
-        self.text = TextAreaInput(title=str(self._drawn.path), value=self._drawn.text, rows=22, width=430,
-                                  max_length=None,
+        self.text = TextAreaInput(title=str(self._drawn.path), value=self._file.text or self._drawn.text, rows=22,
+                                  width=430, max_length=None,
                                   stylesheets=["textarea { font-family: monospace; white-space: pre; }"])
         self.text.on_change("value", lambda attribute, old, new: self._keep(old))
         self.chosen = Select(title="Drawn", options=[], value="")
@@ -118,7 +122,7 @@ class _DrawPage:
         for box, keys in ((self.element_size, (*MESH, "element_size")),
                           (self.wavelength, ("regularization", "cut_off_wavelength"))):
             box.on_change("value", partial(self._set_number, keys))
-        self.shown.on_change("active", lambda attribute, old, new: self._paint_again())
+        self.shown.on_change("active", lambda attribute, old, new: self._draw_again())
         self.write.on_click(self._write)
 
     @property
@@ -152,8 +156,7 @@ class _DrawPage:
             self.probes.add(name, points)
             return
         kind = BY_NAME[name]
-        self._change(lambda text: put_shape(text, Shape(kind, tuple(points),
-                                                        count_values(text, kind) if kind.several else 0)))
+        self._change(lambda text: set_shape(text, self._make_shape(kind, points, find_place(text, kind))))
 
     def _remove(self) -> None:
         shape = self._shapes.get(self.chosen.value)
@@ -169,15 +172,34 @@ class _DrawPage:
         except InputError as error:
             self._tell(error.problems)
             return
-        self._change(lambda text: put_shape(text, Shape(shape.kind, points, shape.place)))
+        self._change(lambda text: set_shape(text, replace(shape, vertices=points)))
 
     def _move_points(self) -> None:
         """Take over the points of the shape that were dragged."""
         shape = self._shapes.get(self.chosen.value)
-        points = tuple((float(x), float(y)) for x, y in zip(*map(self._handles.data.get, "xy"), strict=True))
-        if shape is not None and len(points) == len(shape.vertices) and points != shape.vertices:
-            rounded = tuple(self.drawer.round_point(point) for point in points)
-            self._change(lambda text: put_shape(text, Shape(shape.kind, rounded, shape.place)))
+        points = [(float(x), float(y)) for x, y in zip(*map(self._handles.data.get, "xy"), strict=True)]
+        if shape is None or tuple(points) == shape.vertices:
+            return
+        if len(points) != len(shape.vertices):
+            # One was taken out, which no text says.
+            self._show_numbers()
+            return
+        moved = [point if point == before else self.drawer.round_point(point)
+                 for point, before in zip(points, shape.vertices, strict=True)]
+        changed = self._make_shape(shape.kind, moved, shape.place)
+        if shape.kind.form == "circle" and moved[0] != shape.vertices[0]:
+            # The rim goes with the centre.
+            (x, y), (x0, y0), (x1, y1) = moved[0], *shape.vertices
+            changed = replace(shape, vertices=((x, y), (x + x1 - x0, y + y1 - y0)))
+        self._change(lambda text: set_shape(text, changed))
+
+    def _make_shape(self, kind: Kind, points: Sequence[Point], place: int) -> Shape:
+        """Make a shape of what was clicked; the radius of a circle has the digits of the screen, too."""
+        if kind.form == "circle":
+            (x, y), rim = points
+            radius, _ = self.drawer.round_point((math.dist((x, y), rim), 0.0))
+            points = [(x, y), (x + radius, y)]
+        return Shape(kind, tuple(points), place)
 
     def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
         if new != _find_number(self.text.value, keys):
@@ -194,7 +216,7 @@ class _DrawPage:
         text = self.text.value
         try:
             data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             data = None
         if data is not None:
             self._shapes = {shape.name: shape for shape in list_shapes(data)}
@@ -225,13 +247,13 @@ class _DrawPage:
         self._checked = checked
         self._outline = find_mask_outline(checked.loaded, self._drawn.image)
         self._show_wavelength()
-        self._paint_again()
+        self._draw_again()
         self._tell(checked.problems)
 
     def _tell(self, problems: Sequence[str]) -> None:
         """Say what is wrong, or what the check found."""
-        if problems:
-            said = "<br>".join(escape(line) for line in problems)
+        if problems or self._checked.problems:
+            said = "<br>".join(escape(line) for line in problems or self._checked.problems)
             self.messages.text = f'<div style="color: #b00020">{said}</div>'
         elif self._checked.report is not None:
             rows = "".join(f"<tr><td><b>{escape(name)}</b></td><td>{escape(value)}</td></tr>"
@@ -249,27 +271,27 @@ class _DrawPage:
         x, y = mesh.nodes.min(axis=0).tolist()
         self._wave.data = {"x": [x], "y": [y], "x1": [x + wavelength], "text": [f"l_c = {wavelength:g} px"]}
 
-    def _paint_again(self) -> None:
+    def _draw_again(self) -> None:
         mesh = self._checked.mesh
         is_weak = np.zeros(0, dtype=bool)
         if mesh is not None and WEAK in self._get_shown():
             is_weak = self._drawn.pattern.find_bare(mesh.nodes)
         nodes = mesh.nodes[is_weak] if mesh is not None and len(is_weak) else np.zeros((0, 2))
         self._weak.data = {"x": nodes[:, 0], "y": nodes[:, 1]}
-        self.pane.paint()
+        self.pane.draw()
 
     def _get_shown(self) -> list[str]:
         return [self.shown.labels[number] for number in self.shown.active]
 
-    def _paint(self, picture: Picture, raster: ScreenRaster) -> None:
+    def _draw(self, rgba: Rgba, raster: ScreenRaster) -> None:
         mesh = self._checked.mesh
         if mesh is None or not mesh.n_cells:
             return
         if TEXTURE in self._get_shown():
             strength = np.log10(np.maximum(self._drawn.pattern.find_strength(mesh.centroids), 1e-12))
-            paint_field(picture, Overlay.find(mesh, raster).sample(strength, by_cell=True), STRENGTHS, "RdYlGn")
+            draw_field(rgba, Overlay.find(mesh, raster).interpolate(strength, by_cell=True), STRENGTHS, "RdYlGn")
         if EDGES in self._get_shown():
-            paint_edges(picture, raster, mesh, (90, 200, 255))
+            draw_edges(rgba, raster, mesh, (90, 200, 255))
 
     def _show_numbers(self) -> None:
         shape = self._shapes.get(self.chosen.value)
@@ -298,12 +320,14 @@ class _DrawPage:
         return True
 
     def _open_result(self) -> None:
-        """Show what was measured in a tab beside the drawing, in the place of what was shown there before."""
+        """Show what was measured in a tab beside the drawing, also where it was stopped or did not converge."""
         loaded, _ = load_text_leniently(self._file.text or "", self._drawn.path)
-        if loaded is None or not loaded.case.output.file.exists():
+        files = [] if loaded is None else [loaded.case.output.file, not_converged_path(loaded.case.output.file)]
+        written = [file for file in files if file.exists() and file.stat().st_mtime >= self._drawn.run.start_time]
+        if not written:
             return
         try:
-            layout = show_results([loaded.case.output.file], self.probes.probes, self._document)
+            layout = show_results(written[:1], self.probes.probes, self._document)
         except InputError as error:
             self._tell(error.problems)
             return
@@ -317,13 +341,13 @@ def _find_number(text: str, keys: tuple[str, ...]) -> float | None:
         data = tomllib.loads(text)
         for key in keys:
             data = data[key]
-    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
+    except (ValueError, KeyError, TypeError, OverflowError):
         return None
-    return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
 
 
 def _write_points(shape: Shape) -> str:
-    return "; ".join(f"{x:g}, {y:g}" for x, y in shape.vertices)
+    return "; ".join(f"{x:.12g}, {y:.12g}" for x, y in shape.vertices)
 
 
 def _read_points(typed: str, fewest: int) -> tuple[Point, ...]:

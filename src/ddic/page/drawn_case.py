@@ -34,9 +34,7 @@ class DrawnCase:
     path : Path
         The case file, alone written to.
     text : str
-        To begin with.
-    is_new : bool
-        Whether there is no file yet.
+        To begin with where there is no file.
     image : ScreenImage
         The reference image.
     pattern : Pattern
@@ -47,7 +45,6 @@ class DrawnCase:
 
     path: Path
     text: str
-    is_new: bool
     image: ScreenImage
     pattern: Pattern
     run: CaseRun
@@ -80,9 +77,12 @@ def check_text(text: str, drawn: DrawnCase) -> Checked:
     loaded, problems = load_text_leniently(text, drawn.path)
     if loaded is None:
         return Checked(None, None, None, problems)
+    image = drawn.image.source
+    if not _is_drawn_on(loaded, image.path):
+        problems = [*problems, f"images.reference: this page shows {image.path}; draw another image by ddic draw"]
     try:
         report = check_case(loaded, None, problems)
-        mesh = build_checked_mesh(loaded, drawn.image.source)
+        mesh = build_checked_mesh(loaded, image)
         return Checked(loaded, mesh, describe_pattern(report, loaded, mesh, drawn.pattern), [])
     except InputError as error:
         problems = list(error.problems)
@@ -105,14 +105,18 @@ def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ())
     pattern = find_pattern(source)
     if not case_file.exists():
         text = write_starter_case(case_file, image, deformed, pattern, choose_region(pattern, source))
-        return DrawnCase(case_file, text, True, ScreenImage(source), pattern, CaseRun(case_file))
+        return DrawnCase(case_file, text, ScreenImage(source), pattern, CaseRun(case_file))
     if deformed:
         raise InputError(f"--deformed: {case_file} is there already and names its images; leave it out")
     text = read_text(case_file, "case file", "check the path")
     loaded, _ = load_text_leniently(text, case_file)
-    if loaded is not None and loaded.case.images.reference != find_real_path(image.absolute()):
+    if loaded is not None and not _is_drawn_on(loaded, image):
         raise InputError(f"{image}: {case_file} has another reference image, {loaded.case.images.reference}; give that")
-    return DrawnCase(case_file, text, False, ScreenImage(source), pattern, CaseRun(case_file))
+    return DrawnCase(case_file, text, ScreenImage(source), pattern, CaseRun(case_file))
+
+
+def _is_drawn_on(loaded: LoadedCase, image: Path) -> bool:
+    return loaded.case.images.reference == find_real_path(image.absolute())
 
 
 class CaseFile:
@@ -120,21 +124,25 @@ class CaseFile:
 
     Parameters
     ----------
-    drawn : DrawnCase
-        As it was opened.
+    path : Path
+        The file.
     """
 
-    def __init__(self, drawn: DrawnCase) -> None:
-        self._path = drawn.path
-        self.text: str | None = None if drawn.is_new else drawn.text
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.text = self._read()
+
+    def _read(self) -> str | None:
+        return read_text(self._path, "case file", "check the path") if self._path.exists() else None
 
     def write(self, text: str) -> None:
         """Write the file, whole or not at all; raises InputError where it is another one by now."""
-        there = read_text(self._path, "case file", "check the path") if self._path.exists() else None
-        if there != self.text:
-            raise InputError(f"{self._path}: was changed since this page was opened; open it anew")
+        if self._read() != self.text:
+            raise InputError(f"{self._path}: was changed since this page was opened; reload the page")
+        # Lines end as they did.
+        ends = "\r\n" if self.text is not None and b"\r\n" in self._path.read_bytes() else "\n"
         with replaced_on_exit(self._path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", newline=ends)
         self.text = text
 
 

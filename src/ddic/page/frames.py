@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ddic.arrays import BoolArray
+from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result, read_result
 from ddic.io.series_reader import SeriesResult, is_series_file, read_series
+from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.mesh import Mesh
+from ddic.page.layers import Overlay
 from ddic.plots import canvas, maps
 from ddic.plots.kinds import NUMBERS
 from ddic.probes.probes import PointProbe
@@ -108,15 +111,44 @@ class Frames:
         """Name the frame with its time, and say its verdict."""
         result = self[number]
         time = result.attributes.get(schema.TIME, {}).get("deformed", np.nan)
-        called = "" if self.series is None else f", frame {self.series.numbers[min(number, len(self) - 1)]}"
         verdict = "" if result.verdict is None else f": {result.verdict.describe()}"
-        return f"{self.path.name}{called}, time {format_number(float(time))}{verdict}"
+        return f"{self.path.name}{self.name_frame(number, ', frame ')}, time {format_number(float(time))}{verdict}"
+
+    def name_frame(self, number: int, before: str) -> str:
+        """Give the number of a frame in its series, after a text; nothing of a pair."""
+        return "" if self.series is None else f"{before}{self.series.numbers[min(number, len(self) - 1)]}"
 
 
-def displace_mesh(result: Result) -> Mesh:
+def find_image_size(result: Result) -> tuple[int, int]:
+    """Find the width and the height of a result's reference image, or of what holds its mesh where it names none."""
+    size = str(result.attributes.get(schema.PROVENANCE, {}).get("reference_size", ""))
+    width, height = size.split("x") if size else result.mesh.nodes.max(axis=0) + 1.0
+    return int(width), int(height)
+
+
+def subtract_values(values: maps.Values, mesh: Mesh, field: FieldChoice, other: Result) -> maps.Values | None:
+    """Subtract the same field of another result, at the nodes or in the middle of the cells; None where it has none."""
+    less = field.find_values(other)
+    if less is None:
+        return None
+    at = Overlay(other.mesh, locate(other.mesh, mesh.centroids if values.by_cell else mesh.nodes))
+    difference = values.values - at.interpolate(less.values, by_cell=less.by_cell)
+    return replace(values, values=difference, label=f"difference of {values.label}")
+
+
+def move_mesh(result: Result) -> Mesh:
     """The mesh as it lies in the deformed image; cells that were not measured are where they were."""
     moved = np.where(np.isfinite(result.displacement), result.displacement, 0.0)
-    return Mesh(result.mesh.nodes + moved, result.mesh.connectivity, result.mesh.offsets, result.mesh.types)
+    return replace(result.mesh, nodes=result.mesh.nodes + moved)
+
+
+def move_back(result: Result, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Find where points of the deformed image were in the reference image; raises InputError beside the mesh."""
+    located = locate(move_mesh(result), np.array(points))
+    places = interpolate_located(result.mesh, result.mesh.nodes, located)
+    if np.isnan(places).any():
+        raise InputError("outside the mesh: what is seen there was not measured")
+    return [(x, y) for x, y in places.tolist()]
 
 
 def find_hatched(result: Result) -> tuple[BoolArray, BoolArray]:

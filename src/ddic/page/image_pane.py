@@ -1,4 +1,4 @@
-"""An image in the browser that is zoomed and moved: what is in sight is read, painted over and sent anew.
+"""An image in the browser that is zoomed and moved: what is in sight is read, drawn over and sent anew.
 
 The whole of it is never sent.
 """
@@ -14,7 +14,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from bokeh.events import RangesUpdate, Reset
-from bokeh.io import curdoc
 from bokeh.models import ColumnDataSource, CustomJS, PanTool, Range1d, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -36,13 +35,13 @@ CONTRAST = (0.5, 99.5)
 
 Box = tuple[float, float, float, float]
 
-Picture = NDArray[np.uint8]
+Rgba = NDArray[np.uint8]
 """(height, width, 4): red, green, blue and opacity."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScreenRaster:
-    """A picture of a part of the image plane.
+    """A part of the image plane, reduced or enlarged to the screen.
 
     Attributes
     ----------
@@ -87,12 +86,14 @@ class ScreenImage:
 
     def __init__(self, source: ImageSource) -> None:
         self.source = source
-        n_pixels = self.source.width * self.source.height
+        n_pixels = source.width * source.height
         self._factor = 2 ** max(math.ceil(math.log2(n_pixels / OVERVIEW) / 2.0), 0)
-        self._overview = self._reduce(self.source.extent, self._factor)
-        low, high = np.nanpercentile(self._overview, CONTRAST)
+        overview = _reduce(source, source.extent, self._factor)
+        self._overview = ArraySource(source.path, overview)
+        finite = overview[np.isfinite(overview)]
+        low, high = np.percentile(finite, CONTRAST).tolist() if finite.size else (0.0, 0.0)
         # One grey all over lies in the middle.
-        self._black, self._white = (float(low), float(high)) if low < high else (float(low) - 1.0, float(low) + 1.0)
+        self._black, self._white = (low, high) if low < high else (low - 1.0, low + 1.0)
 
     @classmethod
     def open(cls, path: Path) -> ScreenImage:
@@ -112,7 +113,7 @@ class ScreenImage:
         Of a box beside the image it is a raster of one pixel of it.
         """
         pitch = max((box[2] - box[0]) / width, (box[3] - box[1]) / height, 1e-3)
-        factor = min(2 ** max(round(math.log2(pitch)), 0), self._factor)
+        factor = 2 ** max(round(math.log2(pitch)), 0)
         window = self._find_window(box, factor)
         grey = self._take(window, factor)
         if pitch < 1.0:
@@ -122,40 +123,46 @@ class ScreenImage:
         return ScreenRaster(grey, (window.x0 - 0.5, window.y0 - 0.5, window.x1 - 0.5, window.y1 - 0.5))
 
     def _find_window(self, box: Box, factor: int) -> Window:
-        """The smallest window of whole blocks about a box, within the image."""
+        """The smallest window of whole blocks about a box, within the image; of one that holds none, all of it."""
         sides = []
         for low, high, size in ((box[0], box[2], self.source.width), (box[1], box[3], self.source.height)):
-            n_blocks = size // factor
+            n_blocks = max(size // factor, 1)
             begin = int(np.clip(math.floor((low + 0.5) / factor), 0, n_blocks - 1))
             end = int(np.clip(math.ceil((high + 0.5) / factor), begin + 1, n_blocks))
-            sides.append((begin * factor, end * factor))
+            sides.append((begin * factor, min(end * factor, size)))
         (x0, x1), (y0, y1) = sides
         return Window((x0, y0), (x1, y1))
 
     def _take(self, window: Window, factor: int) -> NDArray[np.uint8]:
-        if factor == self._factor:
-            reduced = self._overview[window.y0 // factor:window.y1 // factor, window.x0 // factor:window.x1 // factor]
+        if factor < self._factor:
+            reduced = _reduce(self.source, window, factor)
         else:
-            reduced = self._reduce(window, factor)
+            lower, upper = np.array(window.lower), np.array(window.upper)
+            in_overview = Window.between(lower // self._factor, -(-upper // self._factor))
+            reduced = _reduce(self._overview, in_overview, factor // self._factor)
         share = (reduced - self._black) / (self._white - self._black)
         return np.asarray(255.0 * np.clip(np.nan_to_num(share), 0.0, 1.0), np.uint8)
 
-    def _reduce(self, window: Window, factor: int) -> NDArray[np.float32]:
-        """Means over blocks, read a band at a time; pixels that fill no block are left out."""
-        n_rows, n_columns = max(window.height // factor, 1), max(window.width // factor, 1)
-        reduced = np.empty((n_rows, n_columns), np.float32)
-        rows_a_band = max(BAND // (window.width * factor), 1)
-        for first in range(0, n_rows, rows_a_band):
-            last = min(first + rows_a_band, n_rows)
-            band = window.take_rows(window.y0 + first * factor, min(window.y0 + last * factor, window.y1))
-            pixels = self.source.read(band)[:, :n_columns * factor]
-            values = pixels if pixels.dtype in (np.uint8, np.uint16) else pixels.astype(np.float32)
-            reduced[first:last] = cv2.resize(values, (n_columns, last - first), interpolation=cv2.INTER_AREA)
-        return reduced
+
+def _reduce(source: ImageSource, window: Window, factor: int) -> NDArray[np.float32]:
+    """Means over blocks, read a band at a time; pixels that fill no block are left out."""
+    n_rows, n_columns = max(window.height // factor, 1), max(window.width // factor, 1)
+    reduced = np.empty((n_rows, n_columns), np.float32)
+    rows_a_band = max(BAND // (window.width * factor), 1)
+    for first in range(0, n_rows, rows_a_band):
+        last = min(first + rows_a_band, n_rows)
+        band = window.take_rows(window.y0 + first * factor, min(window.y0 + last * factor, window.y1))
+        pixels = source.read(band)[:, :n_columns * factor]
+        values = pixels if pixels.dtype in (np.uint8, np.uint16) else pixels.astype(np.float32)
+        reduced[first:last] = cv2.resize(values, (n_columns, last - first), interpolation=cv2.INTER_AREA)
+    return reduced
 
 
 LARGEST_SIDE = 760
 """Of what is in sight, pixels of the screen."""
+
+SMALLEST_SIDE = 200
+"""Of the figure of a narrow image."""
 
 SETTLED_MS = 120
 """After the last zoom or move that is told: then what is in sight is read."""
@@ -163,7 +170,7 @@ SETTLED_MS = 120
 POINTER_MS = 60
 """From one place of the pointer that is told to the next."""
 
-Layer = Callable[[Picture, ScreenRaster], None]
+Layer = Callable[[Rgba, ScreenRaster], None]
 
 FOLLOW_POINTER = """
 const now = Date.now();
@@ -175,14 +182,14 @@ else source.tags = [source.tags[0], setTimeout(tell, pause)];
 
 
 class ImagePane:
-    """A figure of an image, with layers painted over it.
+    """A figure of an image, with layers drawn over it.
 
     Parameters
     ----------
     image : ScreenImage
         The image.
     layers : sequence of callable
-        Paint over a picture of the raster in sight, one after the other.
+        Draw over the raster in sight, one after the other.
     largest_side : int
         Of the figure, pixels of the screen.
     name : str
@@ -194,12 +201,15 @@ class ImagePane:
         self.image, self.layers = image, list(layers)
         width, height = image.source.width, image.source.height
         zoom = largest_side / max(width, height)
-        self._size = max(round(zoom * width), 200), max(round(zoom * height), 200)
-        self.raster = image.read(self._get_box_of_all(), *self._size)
+        self._size = max(round(zoom * width), SMALLEST_SIDE), max(round(zoom * height), SMALLEST_SIDE)
+        # Beside an image that is narrower than the figure there is nothing.
+        across, down = 0.5 * self._size[0] / zoom, 0.5 * self._size[1] / zoom
+        x, y = 0.5 * (width - 1), 0.5 * (height - 1)
+        self.raster = image.read((x - across, y - down, x + across, y + down), *self._size)
         wheel = WheelZoomTool(maintain_focus=False)
         self.figure = figure(
             frame_width=self._size[0], frame_height=self._size[1], tools=[PanTool(), wheel, ResetTool()],
-            active_scroll=wheel, x_range=Range1d(-0.5, width - 0.5), y_range=Range1d(height - 0.5, -0.5),
+            active_scroll=wheel, x_range=Range1d(x - across, x + across), y_range=Range1d(y + down, y - down),
             toolbar_location="above", background_fill_color="#404040", name=name)
         self.figure.grid.visible = False
         self._shown = ColumnDataSource({"image": [], "x": [], "y": [], "dw": [], "dh": []})
@@ -208,9 +218,6 @@ class ImagePane:
         self._partners: list[ImagePane] = []
         self.figure.on_event(RangesUpdate, self._wait_for_rest)
         self.figure.on_event(Reset, self._wait_for_rest)
-
-    def _get_box_of_all(self) -> Box:
-        return -0.5, -0.5, self.image.source.width - 0.5, self.image.source.height - 0.5
 
     @property
     def box(self) -> Box:
@@ -223,7 +230,7 @@ class ImagePane:
         """Pixels of the image along a pixel of the screen."""
         return (self.box[2] - self.box[0]) / self._size[0]
 
-    def follow_pointer(self, tell: Callable[[float, float], None]) -> None:
+    def send_pointer(self, tell: Callable[[float, float], None]) -> None:
         """Tell of the pointer's place in the image, now and then while it moves."""
         source = ColumnDataSource({"x": [], "y": []}, tags=[0, 0])
         source.on_change("data", lambda attribute, old, new: tell(new["x"][0], new["y"][0]))
@@ -240,30 +247,30 @@ class ImagePane:
         """Show an image of the same size."""
         if image is not self.image:
             self.image = image
-            self.look()
+            self.renew()
         else:
-            self.paint()
+            self.draw()
 
     def _wait_for_rest(self, event: object) -> None:
         if not self._pending:
             self._pending = True
-            curdoc().add_timeout_callback(self._look_together, SETTLED_MS)
+            self.figure.document.add_timeout_callback(self._look_together, SETTLED_MS)
 
     def _look_together(self) -> None:
         for pane in (self, *self._partners):
-            pane.look()
+            pane.renew()
 
-    def look(self) -> None:
-        """Read what is in sight, and paint it."""
+    def renew(self) -> None:
+        """Read what is in sight, and draw it."""
         self._pending = False
         self.raster = self.image.read(self.box, *self._size)
-        self.paint()
+        self.draw()
 
-    def paint(self) -> None:
-        """Paint the layers over what was read, and send it."""
-        picture = np.asarray(cv2.cvtColor(self.raster.grey, cv2.COLOR_GRAY2RGBA))
-        for paint in self.layers:
-            paint(picture, self.raster)
+    def draw(self) -> None:
+        """Draw the layers over what was read, and send it."""
+        rgba = np.asarray(cv2.cvtColor(self.raster.grey, cv2.COLOR_GRAY2RGBA))
+        for layer in self.layers:
+            layer(rgba, self.raster)
         x0, y0, x1, y1 = self.raster.box
-        packed = np.ascontiguousarray(picture).view(np.uint32)[..., 0]
+        packed = np.ascontiguousarray(rgba).view(np.uint32)[..., 0]
         self._shown.data = {"image": [packed], "x": [x0], "y": [y0], "dw": [x1 - x0], "dh": [y1 - y0]}

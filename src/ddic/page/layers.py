@@ -13,7 +13,7 @@ from ddic.arrays import Array, BoolArray
 from ddic.mesh.interpolation import Located, interpolate_located, locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
-from ddic.page.image_pane import Picture, ScreenRaster
+from ddic.page.image_pane import Rgba, ScreenRaster
 
 Colour = tuple[int, int, int]
 
@@ -30,27 +30,27 @@ SUBPIXEL_BITS = 4
 """Of the places of lines: sixteenths of a pixel."""
 
 
-def paint_edges(picture: Picture, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> None:
-    """Paint the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone."""
+def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> None:
+    """Draw the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone."""
     corners = raster.place(mesh.nodes)
     low, high = mesh.outlines.find_boxes()
     x0, y0, x1, y1 = raster.box
     in_sight = np.flatnonzero(((high >= (x0, y0)) & (low <= (x1, y1))).all(axis=1))
     sides = float(np.median(high - low)) / raster.pitch[0]
     if sides >= SMALLEST_CELL:
-        _paint_lines(picture, [corners[mesh.get_cell(cell)] for cell in in_sight], colour, closed=True)
+        _draw_lines(rgba, [corners[mesh.get_cell(cell)] for cell in in_sight], colour, closed=True)
     else:
-        _paint_lines(picture, list(corners[find_boundary_facets(mesh)[:, :2]]), colour, closed=False)
+        _draw_lines(rgba, list(corners[find_boundary_facets(mesh)[:, :2]]), colour, closed=False)
 
 
-def _paint_lines(picture: Picture, lines: list[Array], colour: Colour, *, closed: bool) -> None:
+def _draw_lines(rgba: Rgba, lines: list[Array], colour: Colour, *, closed: bool) -> None:
     places = [np.round(line * 2**SUBPIXEL_BITS).astype(np.int32) for line in lines]
-    cv2.polylines(picture, places, closed, (*colour, 255), 1, cv2.LINE_AA, SUBPIXEL_BITS)
+    cv2.polylines(rgba, places, closed, (*colour, 255), 1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Where the pixels of a raster lie in a mesh, so that many fields and frames are painted by one search.
+    """Where the pixels of a raster lie in a mesh, so that many fields and frames are drawn by one search.
 
     Attributes
     ----------
@@ -68,8 +68,8 @@ class Overlay:
         """Find the cell of each pixel."""
         return cls(mesh, locate(mesh, raster.centres))
 
-    def sample(self, values: Array, *, by_cell: bool) -> Array:
-        """Sample values at nodes or on cells at the pixels, (n,); nan outside the mesh."""
+    def interpolate(self, values: Array, *, by_cell: bool) -> Array:
+        """Interpolate values at nodes, or take those on cells, at the pixels, (n,); nan outside the mesh."""
         if not by_cell:
             return interpolate_located(self.mesh, values[:, None], self.located)[:, 0]
         cells = self.located.cells
@@ -81,13 +81,13 @@ class Overlay:
         return np.asarray((cells >= 0) & is_marked[np.maximum(cells, 0)])
 
 
-def paint_field(picture: Picture, values: Array, limits: tuple[float, float], palette: str) -> None:
-    """Paint values of the pixels, (n,), over the image; where they are nan the image stays."""
+def draw_field(rgba: Rgba, values: Array, limits: tuple[float, float], palette: str) -> None:
+    """Draw values of the pixels, (n,), over the image; where they are nan the image stays."""
     low, high = limits
-    known = np.isfinite(values).reshape(picture.shape[:2])
+    known = np.isfinite(values).reshape(rgba.shape[:2])
     share = np.clip((values[known.ravel()] - low) / (high - low), 0.0, 1.0)
     colours = list_colours(palette)[np.round(255.0 * share).astype(int)]
-    picture[known, :3] = np.round(OPACITY * colours + (1.0 - OPACITY) * picture[known, :3])
+    rgba[known, :3] = np.round(OPACITY * colours + (1.0 - OPACITY) * rgba[known, :3])
 
 
 def list_colours(palette: str) -> NDArray[np.uint8]:
@@ -95,8 +95,8 @@ def list_colours(palette: str) -> NDArray[np.uint8]:
     return np.asarray(colormaps[palette](np.arange(256) / 255.0, bytes=True)[:, :3])
 
 
-def hatch(picture: Picture, is_hatched: BoolArray, colour: Colour) -> None:
-    """Paint strokes over pixels, (n,)."""
-    rows, columns = np.indices(picture.shape[:2])
-    strokes = is_hatched.reshape(picture.shape[:2]) & ((rows + columns) % HATCH < STROKE)
-    picture[strokes, :3] = colour
+def draw_hatching(rgba: Rgba, is_hatched: BoolArray, colour: Colour) -> None:
+    """Draw strokes over pixels, (n,)."""
+    rows, columns = np.indices(rgba.shape[:2])
+    strokes = is_hatched.reshape(rgba.shape[:2]) & ((rows + columns) % HATCH < STROKE)
+    rgba[strokes, :3] = colour

@@ -51,16 +51,18 @@ class ProbeBox:
         To begin with.
     changed : callable
         Told of every change, with what is wrong with the text.
+    move : callable or None
+        Moves points of the reference image, (n, 2), pixels, to where they are seen.
     """
 
-    def __init__(self, probes: list[Probe], changed: Callable[[list[str]], None]) -> None:
+    def __init__(self, probes: list[Probe], changed: Callable[[list[str]], None],
+                 move: Callable[[Array], Array] | None = None) -> None:
         self.probes = probes
-        self._changed = changed
+        self._changed, self._move = changed, move
         self.text = TextAreaInput(title="Probes (a file for ddic probe --probes)", rows=7, width=430,
                                   value="\n".join(map(format_probe, probes)))
         self.text.on_change("value", lambda attribute, old, new: self._read())
         self._drawn = ColumnDataSource({"xs": [], "ys": [], "x": [], "y": [], "name": []})
-        self._draw()
 
     def show_on(self, pane: ImagePane) -> None:
         """Draw the probes over an image."""
@@ -82,11 +84,13 @@ class ProbeBox:
         except InputError as error:
             self._changed(list(error.problems))
             return
-        self._draw()
+        self.draw()
         self._changed([])
 
-    def _draw(self) -> None:
-        outlines = [outline_probe(probe) for probe in self.probes]
+    def draw(self) -> None:
+        """Draw the probes, anew where they are seen elsewhere."""
+        outlines = [make_outline(probe) for probe in self.probes]
+        outlines = outlines if self._move is None else [self._move(outline) for outline in outlines]
         self._drawn.data = {
             "xs": [outline[:, 0].tolist() for outline in outlines],
             "ys": [outline[:, 1].tolist() for outline in outlines],
@@ -108,7 +112,7 @@ def _make_probe(kind: str, name: str, points: list[Point]) -> Probe:
     return StrainGauge(name, centre, round(math.dist(start, end), 2), angle=round(angle, 2))
 
 
-def outline_probe(probe: Probe) -> Array:
+def make_outline(probe: Probe) -> Array:
     """Outline a probe as it is drawn, (n, 2), pixels: its point, its line, or the rectangle of a gauge."""
     if isinstance(probe, PointProbe):
         return np.array([probe.point])
@@ -156,10 +160,10 @@ class ProbeReadings:
         self.profile, self.curves = (
             figure(width=440, height=260, toolbar_location=None, tools="hover", name=name, visible=False)
             for name in ("profile", "curves"))
-        self.quantity.on_change("value", lambda attribute, old, new: self._show())
+        self.quantity.on_change("value", lambda attribute, old, new: self._show_known())
         document.on_session_destroyed(lambda context: self._worker.shutdown(wait=False, cancel_futures=True))
 
-    def ask(self, frames: Frames, probes: Sequence[Probe], number: int) -> None:
+    def show(self, frames: Frames, probes: Sequence[Probe], number: int) -> None:
         """Show what probes read on a frame, from 0, and on all others."""
         self._asked = frames, probes, number
         missing = [probe for probe in probes if (frames, probe) not in self._known]
@@ -167,7 +171,7 @@ class ProbeReadings:
             self.table.text = "reading ..."
             self._worker.submit(self._read, frames, missing)
         else:
-            self._show()
+            self._show_known()
 
     def gather(self, frames: Frames, probes: Sequence[Probe]) -> list[ProbeRecord]:
         """Gather what probes read on all frames, in the order of their times."""
@@ -177,15 +181,22 @@ class ProbeReadings:
         return sorted(records, key=lambda record: record.time)
 
     def _read(self, frames: Frames, probes: Sequence[Probe]) -> None:
-        read = _read_frames(frames, probes)
+        try:
+            read = _read_frames(frames, probes)
+        except InputError as error:
+            self._document.add_next_tick_callback(partial(self._tell, str(error)))
+            return
         self._document.add_next_tick_callback(partial(self._take, read))
+
+    def _tell(self, problem: str) -> None:
+        self.table.text = escape(problem)
 
     def _take(self, read: dict[tuple[Frames, Probe], list[ProbeRecord]]) -> None:
         self._known |= read
         if self._asked is not None:
-            self.ask(*self._asked)
+            self.show(*self._asked)
 
-    def _show(self) -> None:
+    def _show_known(self) -> None:
         if self._asked is None:
             return
         frames, probes, number = self._asked

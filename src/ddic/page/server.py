@@ -98,7 +98,7 @@ def start_in_thread(make_page: MakePage) -> str:
     return address.result()
 
 
-def serve_page(make_page: MakePage, port: int, announce: Callable[[str], None], *, opens_browser: bool) -> None:
+def run_server(make_page: MakePage, port: int, announce: Callable[[str], None], *, opens_browser: bool) -> None:
     """Serve a page until Ctrl-C; its address is announced, and opened in a browser where there is one."""
     server, address = start_server(make_page, port)
     announce(address)

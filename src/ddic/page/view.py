@@ -29,15 +29,27 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
+from ddic.arrays import Array
 from ddic.errors import InputError
-from ddic.io import result_schema as schema
+from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_text import Point
 from ddic.page.clicks import ClickDrawer
-from ddic.page.frames import BY_NAME, FieldChoice, Frames, describe_point, displace_mesh, find_hatched
-from ddic.page.image_pane import ImagePane, Picture, ScreenImage, ScreenRaster
-from ddic.page.layers import Overlay, hatch, list_colours, paint_field
+from ddic.page.frames import (
+    BY_NAME,
+    FIELDS,
+    FieldChoice,
+    Frames,
+    describe_point,
+    find_hatched,
+    find_image_size,
+    move_back,
+    move_mesh,
+    subtract_values,
+)
+from ddic.page.image_pane import ImagePane, Rgba, ScreenImage, ScreenRaster
+from ddic.page.layers import Overlay, draw_field, draw_hatching, list_colours
 from ddic.page.probe_box import FORMS, ProbeBox, ProbeReadings
 from ddic.plots import canvas, figures, maps
 from ddic.probes.probes import Probe
@@ -87,56 +99,45 @@ class _FieldPane:
         self._page = page
         self.frames: Frames | None = None
         self.subtracted: Frames | None = None
-        self._overlays: dict[Path, tuple[Mesh, ScreenRaster, Overlay]] = {}
+        self._raster: ScreenRaster | None = None
+        self._overlay: Overlay | None = None
         self.limits = (0.0, 1.0)
-        self.pane = ImagePane(image, [self._paint], side, name)
+        self.pane = ImagePane(image, [self._draw], side, name)
         self._colours = LinearColorMapper(palette=["#000000"], low=0.0, high=1.0)
         # Numbers padded with blanks: room for those that come later.
         self._bar = ColorBar(color_mapper=self._colours, title="", width=12,
                              formatter=PrintfTickFormatter(format="%-9.3g"))
         self.pane.figure.add_layout(self._bar, "right")
-        self.pane.follow_pointer(page.point_at)
+        self.pane.send_pointer(page.point_at)
 
-    def _find_overlay(self, frames: Frames, result: Result, raster: ScreenRaster) -> Overlay:
+    def _find_overlay(self, result: Result, raster: ScreenRaster) -> Overlay:
         """Where the screen's pixels lie in a mesh; the search is kept as long as neither changes."""
-        moved = self._page.is_moved
-        mesh = displace_mesh(result) if moved else result.mesh
-        kept = self._overlays.get(frames.path)
-        if kept is not None and kept[1] is raster and _is_same(kept[0], mesh):
-            return kept[2]
-        overlay = Overlay.find(mesh, raster)
-        self._overlays[frames.path] = (mesh, raster, overlay)
-        return overlay
+        mesh = move_mesh(result) if self._page.is_moved else result.mesh
+        if self._overlay is None or self._raster is not raster or not _is_same(self._overlay.mesh, mesh):
+            self._raster, self._overlay = raster, Overlay.find(mesh, raster)
+        return self._overlay
 
-    def _paint(self, picture: Picture, raster: ScreenRaster) -> None:
+    def _draw(self, rgba: Rgba, raster: ScreenRaster) -> None:
         page = self._page
         if self.frames is None:
             return
         result = self.frames[page.number]
         values = page.field.find_values(result)
+        if values is not None and self.subtracted is not None:
+            values = subtract_values(values, result.mesh, page.field, self.subtracted[page.number])
         if values is None:
+            self._bar.title = f"{page.field.name}: not in this result"
             return
-        overlay = self._find_overlay(self.frames, result, raster)
-        sampled = overlay.sample(values.values, by_cell=values.by_cell)
-        scaled = values.values
-        title = values.label
-        if self.subtracted is not None:
-            other = self.subtracted[page.number]
-            less = page.field.find_values(other)
-            if less is None:
-                return
-            sampled = sampled - self._find_overlay(self.subtracted, other, raster).sample(less.values,
-                                                                                          by_cell=less.by_cell)
-            scaled, title = sampled, f"difference of {title}"
-        self.limits = page.scale.find_limits(scaled)
-        paint_field(picture, sampled, self.limits, page.palette)
+        overlay = self._find_overlay(result, raster)
+        self.limits = page.scale.find_limits(values.values)
+        draw_field(rgba, overlay.interpolate(values.values, by_cell=values.by_cell), self.limits, page.palette)
         if page.hatches:
             excluded, doubtful = find_hatched(result)
-            hatch(picture, overlay.find_pixels(excluded), EXCLUDED_COLOUR)
-            hatch(picture, overlay.find_pixels(doubtful), DOUBTFUL_COLOUR)
+            draw_hatching(rgba, overlay.find_pixels(excluded), EXCLUDED_COLOUR)
+            draw_hatching(rgba, overlay.find_pixels(doubtful), DOUBTFUL_COLOUR)
         self._colours.update(palette=["#{:02x}{:02x}{:02x}".format(*colour) for colour in list_colours(page.palette)],
                              low=self.limits[0], high=self.limits[1])
-        self._bar.title = _write_plainly(title)
+        self._bar.title = _write_plainly(values.label)
 
     def show(self, frames: Frames | None, subtracted: Frames | None = None) -> None:
         """Have another result shown, or one less another."""
@@ -195,8 +196,7 @@ class _ViewPage:
         self.left = Select(title="Result", options=names, value=names[0], width=260)
         self.right = Select(title="Beside it", options=[NOTHING, *names, DIFFERENCE], width=260,
                             value=names[1] if len(names) > 1 else NOTHING, visible=len(names) > 1)
-        fields = first.list_fields()
-        self.choice = Select(title="Field", options=fields, value=fields[0])
+        self.choice = Select(title="Field", options=first.list_fields(), value=FIELDS[0].name)
         self.colours = Select(title="Colours", options=list(PALETTES), value=PALETTES[0], width=110)
         self.low = NumericInput(title="from (empty: percentile)", mode="float", width=150)
         self.high = NumericInput(title="to", mode="float", width=110)
@@ -208,7 +208,7 @@ class _ViewPage:
                              visible=n_frames > 1)
         self.told = Div(width=900)
         self.values = Div(width=900, styles={"font-family": "monospace"})
-        self.probes = ProbeBox(probes, self._tell_of_probes)
+        self.probes = ProbeBox(probes, self._tell_of_probes, self._move_probes)
         self.readings = ProbeReadings(document)
         self.convergence = figure(width=380, height=260, y_axis_type="log", toolbar_location=None,
                                   x_axis_label="iteration of Gauss-Newton", y_axis_label="correction [px]")
@@ -225,7 +225,7 @@ class _ViewPage:
         for control in (self.left, self.right):
             control.on_change("value", lambda attribute, old, new: self._choose_results())
         for control in (self.choice, self.colours, self.low, self.high, self.low_share, self.high_share):
-            control.on_change("value", lambda attribute, old, new: self._paint())
+            control.on_change("value", lambda attribute, old, new: self._draw())
         self.shown.on_change("active", lambda attribute, old, new: self._show_images())
         self.slider.on_change("value", lambda attribute, old, new: self._change_frame(new))
 
@@ -277,6 +277,10 @@ class _ViewPage:
     def _choose_results(self) -> None:
         left = self._results[self.left.value]
         self._left.show(left)
+        fields = left.list_fields()
+        self.choice.options = fields
+        if self.choice.value not in fields:
+            self.choice.value = fields[0]
         if len(self._panes) > 1 and self.right.value == DIFFERENCE:
             # From the first of the others.
             other = next(frames for frames in self._results.values() if frames is not left)
@@ -293,25 +297,28 @@ class _ViewPage:
 
     def _show_images(self) -> None:
         """Show the image of each pane's frame, and its field."""
+        self.probes.draw()
         for shown in self._panes:
             if shown.frames is not None:
                 shown.pane.show_image(self._find_background(shown.frames))
 
     def _find_background(self, frames: Frames) -> ScreenImage:
-        """The image that a frame's field lies over; a grey one where that is no longer there."""
+        """The image that a frame's field lies over; a grey one where that cannot be read any more."""
         result = frames[self.number]
         path = figures.find_image(result, "deformed" if self.is_moved else "reference") or Path()
         if path not in self._images:
-            width, height = (int(side) + 1 for side in result.mesh.nodes.max(axis=0))
-            self._images[path] = ScreenImage.make_blank(width, height) if path == Path() else ScreenImage.open(path)
+            try:
+                self._images[path] = ScreenImage.open(path)
+            except InputError:
+                self._images[path] = ScreenImage.make_blank(*find_image_size(result))
             # Of a long series the images last looked at.
             for other in list(self._images)[:-MOST_IMAGES]:
                 del self._images[other]
         return self._images[path]
 
-    def _paint(self) -> None:
+    def _draw(self) -> None:
         for shown in self._panes:
-            shown.pane.paint()
+            shown.pane.draw()
 
     def _tell(self) -> None:
         """Name what is shown, with its verdict; its convergence and what the probes read."""
@@ -323,12 +330,28 @@ class _ViewPage:
 
     def point_at(self, x: float, y: float) -> None:
         """Say what is measured under the pointer."""
-        frames = self._results[self.left.value]
-        self.values.text = escape(describe_point(frames[self.number], x, y))
+        try:
+            result, (point,) = self._result, self._find_places([(x, y)])
+            self.values.text = escape(describe_point(result, *point))
+        except InputError as error:
+            self.values.text = escape(str(error))
+
+    @property
+    def _result(self) -> Result:
+        return self._results[self.left.value][self.number]
+
+    def _find_places(self, points: list[Point]) -> list[Point]:
+        """Places in the reference image of what is seen at points; raises InputError where that is not known."""
+        return move_back(self._result, points) if self.is_moved else points
+
+    def _move_probes(self, points: Array) -> Array:
+        """Where points of the reference image are seen; where that is not known, where they were."""
+        moved = points + self._result.at(points) if self.is_moved else points
+        return np.where(np.isfinite(moved), moved, points)
 
     def _take(self, name: str, points: list[Point]) -> None:
         try:
-            self.probes.add(name, points)
+            self.probes.add(name, self._find_places(points))
         except InputError as error:
             self._tell_of_probes(list(error.problems))
 
@@ -339,23 +362,22 @@ class _ViewPage:
             self._read_probes()
 
     def _read_probes(self) -> None:
-        self.readings.ask(self._results[self.left.value], self.probes.probes, self.number)
+        self.readings.show(self._results[self.left.value], self.probes.probes, self.number)
 
     # What leaves the page.
 
     def _export_figure(self, ending: str) -> None:
         """The field as ``ddic plot`` draws it, with the limits and colours of the page."""
-        frames = self._results[self.left.value]
-        result, field = frames[self.number], self.field
+        frames, result, field = self._results[self.left.value], self._result, self.field
         path = figures.find_image(result)
-        preview = None if path is None else maps.read_preview(self._images[path].source)
+        preview = None if path is None else maps.read_preview(open_image(path))
         look = figures.Look(field.component, maps.StrainChoice(number=field.number),
                             unit=canvas.find_length_unit(result), scale=self.scale)
         drawn = figures.draw(field.kind, figures.Drawing(result, None, look, preview))
         stream = BytesIO()
         drawn.savefig(stream, format=ending, dpi=canvas.DPI)
-        of_frame = "" if frames.series is None else f".frame_{frames.series.numbers[self.number]}"
-        self._send(f"{frames.path.stem}{of_frame}.{field.name.replace(' ', '_')}.{ending}", stream.getvalue())
+        name = f"{frames.path.stem}{frames.name_frame(self.number, '.frame_')}.{field.name.replace(' ', '_')}"
+        self._send(f"{name}.{ending}", stream.getvalue())
 
     def _export_table(self) -> None:
         with TemporaryDirectory() as folder:
@@ -377,11 +399,11 @@ def _name(frames: Frames, among: Sequence[Frames]) -> str:
 
 def open_results(paths: Sequence[Path]) -> list[Frames]:
     """Open results to be looked at; raises InputError where one cannot be read, or their images differ in size."""
-    opened = [Frames(path) for path in paths]
-    sizes = {str(frames[0].attributes.get(schema.PROVENANCE, {}).get("reference_size")) for frames in opened}
+    opened = [Frames(path) for path in dict.fromkeys(paths)]
+    sizes = sorted({find_image_size(frames[0]) for frames in opened})
     if len(sizes) > 1:
-        raise InputError(f"{paths[0]}, ...: of images of {' and '.join(sorted(sizes))} px, which cannot be looked at "
-                         "side by side; give results of one size")
+        raise InputError(f"{paths[0]}, ...: of images of {' and '.join(f'{x} x {y}' for x, y in sizes)} px, which "
+                         "cannot be looked at side by side; give results of one size")
     return opened
 
 

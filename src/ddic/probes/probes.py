@@ -1,6 +1,8 @@
 """Points, lines, extensometers and strain gauges, from a TOML file or numbers between commas, and what they read."""
 
+import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from itertools import pairwise
@@ -219,14 +221,16 @@ def parse_probes(text: str, path: Path) -> list[Probe]:
 
 
 def format_probe(probe: Probe) -> str:
-    """Write a probe as the section of a file of probes that ``load_probes`` reads; its name needs no quotes."""
-    lines = [f"[{KINDS[type(probe)]}.{probe.name}]"]
+    """Write a probe as the section of a file of probes that ``load_probes`` reads, with all digits."""
+    is_plain = re.fullmatch(r"[A-Za-z0-9_-]+", probe.name)
+    name = probe.name if is_plain else json.dumps(probe.name, ensure_ascii=False)
+    lines = [f"[{KINDS[type(probe)]}.{name}]"]
     for field in fields(probe):
         value = getattr(probe, field.name)
         if field.name == "name" or value is None or value == field.default:
             continue
-        written = f"[{value[0]:g}, {value[1]:g}]" if field.name in PLACES else f"{value:g}"
-        lines.append(f"{field.name} = {written}")
+        # All digits, and 16 for 16.0.
+        lines.append(f"{field.name} = {re.sub(r'[.]0(?=[],]|$)', '', json.dumps(value))}")
     return "\n".join(lines) + "\n"
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ddic.arrays import Array
 from ddic.io import result_schema as schema
 from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
-from ddic.io.result_reader import Result, crop_result
+from ddic.io.result_reader import Result, clip_result
+from ddic.mesh.interpolation import locate
 from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
 from ddic.probes.probes import KINDS, LineProbe, Measure, PointProbe, Probe, Reading, list_samples, measure_probe
@@ -84,11 +85,17 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
         # That of the deformed image, as the case gives it; nan where the file says none.
         time = float(result.attributes.get(schema.TIME, {}).get("deformed", math.nan))
         for probe in probes:
-            samples = list_samples(probe)
-            near = crop_result(result, samples.min(axis=0), samples.max(axis=0))
+            near = _clip_to(result, probe)
             records.append(ProbeRecord(time, result.path.name, measure_probe(near, probe, measure),
                                        estimate_metrology(near, probe, noise), find_length_unit(result)))
     return sorted(records, key=lambda record: record.time)
+
+
+def _clip_to(result: Result, probe: Probe) -> Result:
+    """The cells about a probe; of one that lies in none, all, whose mean spacing is its."""
+    samples = list_samples(probe)
+    near = clip_result(result, samples.min(axis=0), samples.max(axis=0))
+    return near if (locate(near.mesh, samples).cells >= 0).any() else result
 
 
 def write_probe_table(path: Path | str, records: Sequence[ProbeRecord]) -> None:
