@@ -156,6 +156,8 @@ TABLES: dict[str, dict[str, str]] = {
     },
     "newcomer": {
         "verdicts": "verdicts.measure_verdicts",
+        "browser": "drawn_cases.measure_browser",
+        "edit": "drawn_cases.measure_edit",
     },
     "clean": {
         "pairs": "clean.measure_pairs",
