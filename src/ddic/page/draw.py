@@ -97,7 +97,8 @@ class _DrawPage:
         forms = {kind.name: (FEWEST[kind.form], kind.form in ("polygon", "line"), CLICKS[kind.form])
                  for kind in BY_NAME.values()}
         self.drawer = ClickDrawer(self.pane, {**forms, **FORMS}, self._take, self._snap)
-        self.text = TextAreaInput(title=str(self._drawn.path), value=self._drawn.text, rows=22, width=430,
+        begun = self._drawn.text if self._file.text is None else self._file.text
+        self.text = TextAreaInput(title=str(self._drawn.path), value=begun, rows=22, width=430,
                                   max_length=None,
                                   stylesheets=["textarea { font-family: monospace; white-space: pre; }"])
         self.text.on_change("value", lambda attribute, old, new: self._keep(old))

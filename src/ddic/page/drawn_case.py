@@ -35,8 +35,6 @@ class DrawnCase:
         The case file, alone written to.
     text : str
         To begin with.
-    is_new : bool
-        Whether there is no file yet.
     image : ScreenImage
         The reference image.
     pattern : Pattern
@@ -47,7 +45,6 @@ class DrawnCase:
 
     path: Path
     text: str
-    is_new: bool
     image: ScreenImage
     pattern: Pattern
     run: CaseRun
@@ -105,33 +102,36 @@ def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ())
     pattern = find_pattern(source)
     if not case_file.exists():
         text = write_starter_case(case_file, image, deformed, pattern, choose_region(pattern, source))
-        return DrawnCase(case_file, text, True, ScreenImage(source), pattern, CaseRun(case_file))
+        return DrawnCase(case_file, text, ScreenImage(source), pattern, CaseRun(case_file))
     if deformed:
         raise InputError(f"--deformed: {case_file} is there already and names its images; leave it out")
     text = read_text(case_file, "case file", "check the path")
     loaded, _ = load_text_leniently(text, case_file)
     if loaded is not None and loaded.case.images.reference != find_real_path(image.absolute()):
         raise InputError(f"{image}: {case_file} has another reference image, {loaded.case.images.reference}; give that")
-    return DrawnCase(case_file, text, False, ScreenImage(source), pattern, CaseRun(case_file))
+    return DrawnCase(case_file, text, ScreenImage(source), pattern, CaseRun(case_file))
 
 
 class CaseFile:
-    """The file of a case as one tab knows it: it is not written over what somebody else wrote since.
+    """The file of a case as one tab found and wrote it: it is not written over what somebody else wrote since.
 
     Parameters
     ----------
     drawn : DrawnCase
-        As it was opened.
+        Its case.
     """
 
     def __init__(self, drawn: DrawnCase) -> None:
         self._path = drawn.path
-        self.text: str | None = None if drawn.is_new else drawn.text
+        self.text = self._read()
+
+    def _read(self) -> str | None:
+        """Read the file as it is now; None where there is none."""
+        return read_text(self._path, "case file", "check the path") if self._path.exists() else None
 
     def write(self, text: str) -> None:
         """Write the file, whole or not at all; raises InputError where it is another one by now."""
-        there = read_text(self._path, "case file", "check the path") if self._path.exists() else None
-        if there != self.text:
+        if self._read() != self.text:
             raise InputError(f"{self._path}: was changed since this page was opened; open it anew")
         with replaced_on_exit(self._path) as temporary:
             temporary.write_text(text, encoding="utf-8")
