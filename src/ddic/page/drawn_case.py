@@ -18,7 +18,7 @@ from ddic.errors import InputError
 from ddic.inputs.mesh_source import build_mesh_anywhere
 from ddic.io.image_file import hold_image, read_mask
 from ddic.io.input_file import find_real_path
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 from ddic.io.text_files import read_text
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_run import CaseRun
@@ -133,6 +133,7 @@ class CaseFile:
         """Write the file, whole or not at all; raises InputError where it is another one by now."""
         if self._read() != self.text:
             raise InputError(f"{self._path}: was changed since this page was opened; open it anew")
+        remove_abandoned(self._path.parent)
         with replaced_on_exit(self._path) as temporary:
             temporary.write_text(text, encoding="utf-8")
         self.text = text
