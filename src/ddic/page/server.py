@@ -87,7 +87,7 @@ def start_server(make_page: MakePage, port: int = 0) -> tuple[Server, str]:
 
 
 def _outlive_closed_tabs() -> None:
-    """Have a tab that is closed be an error of its connection alone: PETSc, once it has begun, would end the process."""
+    """Have a tab that is closed be an error of its connection alone: PETSc, once begun, would end the process."""
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
