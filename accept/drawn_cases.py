@@ -354,26 +354,26 @@ def measure_edit(scale: Scale) -> list[Row]:
     folder = scale.folder("edited_case")
     folder.mkdir(parents=True, exist_ok=True)
     draw_plate(folder)
-    with opened_browser() as browser:
-        return [_edit(browser, folder, edit) for edit in EDITS]
+    edits = EDITS[1:3] if scale.smoke else EDITS
+    (folder / BEGUN).write_text(EXISTING, encoding="utf-8")
+    with opened_browser() as browser, ServedPage("draw", "images/reference.tif", BEGUN, folder=folder) as served:
+        return [_edit(Tab(browser, served.address), folder / BEGUN, edit) for edit in edits]
 
 
-def _edit(browser: Browser, folder: Path, edit: tuple[str, str, str, str, str]) -> Row:
+def _edit(tab: Tab, case: Path, edit: tuple[str, str, str, str, str]) -> Row:
+    """Make one change in a new tab, which begins with the file as it is; the file is as before afterwards."""
     what, shape, box, typed, key = edit
-    case = folder / BEGUN
-    case.write_text(EXISTING, encoding="utf-8")
-    with ServedPage("draw", "images/reference.tif", BEGUN, folder=folder) as served:
-        tab = Tab(browser, served.address)
-        if shape:
-            tab.choose("Drawn", shape)
-            wait_until(lambda: tab.read(box) != "", "the points of the shape")
-        tab.fill(box, typed)
-        wait_until(lambda: tab.read(BEGUN) != EXISTING, "the change in the text")
-        tab.press("Write the case")
-        wait_until(lambda: case.read_text(encoding="utf-8") != EXISTING, "the case is written")
-        tab.close()
+    if shape:
+        tab.choose("Drawn", shape)
+        wait_until(lambda: tab.read(box) != "", "the points of the shape")
+    tab.fill(box, typed)
+    wait_until(lambda: tab.read(BEGUN) != EXISTING, "the change in the text")
+    tab.press("Write the case")
+    wait_until(lambda: case.read_text(encoding="utf-8") != EXISTING, "the case is written")
+    tab.close()
     before, after = (text.splitlines() for text in (EXISTING, case.read_text(encoding="utf-8")))
     differing = [line for line in ndiff(before, after) if line.startswith(("-", "+"))]
+    case.write_text(EXISTING, encoding="utf-8")
     holds = len(differing) == 2 and all(key in line for line in differing)
     return Row(f"a case of {len(before)} lines with comments, in which {what} is changed on the page: lines of the "
                "file that differ", "that line alone", " | ".join(" ".join(line.split()) for line in differing), holds)

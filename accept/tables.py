@@ -158,6 +158,7 @@ TABLES: dict[str, dict[str, str]] = {
         "verdicts": "verdicts.measure_verdicts",
         "browser": "drawn_cases.measure_browser",
         "edit": "drawn_cases.measure_edit",
+        "wrong_inputs": "page_mistakes.measure_wrong_inputs",
     },
     "clean": {
         "pairs": "clean.measure_pairs",

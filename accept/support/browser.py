@@ -193,6 +193,14 @@ class Tab:
         box.fill(text)
         box.blur()
 
+    def type_keys(self, label: str, text: str) -> None:
+        """Write into an emptied box key by key, some of which it may refuse, and leave it."""
+        box = self._find(label)
+        box.click()
+        box.press("Control+a")
+        box.press_sequentially(text)
+        box.blur()
+
     def press(self, button: str) -> None:
         """Press a button."""
         self.page.get_by_role("button", name=button, exact=True).locator("visible=true").first.click()
