@@ -159,6 +159,9 @@ TABLES: dict[str, dict[str, str]] = {
         "starters": "starter_cases.measure_starters",
         "mistakes": "beginner_mistakes.measure_mistakes",
         "environment": "environment.measure_environment",
+        "browser": "drawn_cases.measure_browser",
+        "edit": "drawn_cases.measure_edit",
+        "wrong_inputs": "page_mistakes.measure_wrong_inputs",
     },
     "clean": {
         "pairs": "clean.measure_pairs",

@@ -101,16 +101,16 @@ class _DrawPage:
         forms = {kind.name: (FEWEST[kind.form], kind.form in ("polygon", "line"), CLICKS[kind.form])
                  for kind in BY_NAME.values()}
         self.drawer = ClickDrawer(self.pane, {**forms, **FORMS}, self._take, self._snap)
-        self.text = TextAreaInput(title=str(self._drawn.path), value=self._file.text or self._drawn.text, rows=22,
-                                  width=430, max_length=None,
+        begun = self._drawn.text if self._file.text is None else self._file.text
+        self.text = TextAreaInput(title=str(self._drawn.path), value=begun, rows=22, width=430, max_length=None,
                                   stylesheets=["textarea { font-family: monospace; white-space: pre; }"])
         self.text.on_change("value", lambda attribute, old, new: self._keep(old))
         self.chosen = Select(title="Drawn", options=[], value="")
         self.numbers = TextInput(title="Its points: x, y; x, y; ... (px)", width=430)
         self.remove = Button(label="Remove")
         self.undo = Button(label="Undo")
-        self.element_size = NumericInput(title="Element size (px)", mode="float", low=1, width=130)
-        self.wavelength = NumericInput(title="Cut-off wavelength (px)", mode="float", low=1, width=130)
+        self.element_size = NumericInput(title="Element size (px)", mode="float", width=130)
+        self.wavelength = NumericInput(title="Cut-off wavelength (px)", mode="float", width=130)
         self.shown = CheckboxGroup(labels=[EDGES, TEXTURE, WEAK], active=[0], inline=True)
         self.messages = Div(width=430)
         self.write = Button(label="Write the case", button_type="primary")

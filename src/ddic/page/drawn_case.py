@@ -18,7 +18,7 @@ from ddic.errors import InputError
 from ddic.inputs.mesh_source import build_mesh_anywhere
 from ddic.io.image_file import hold_image, read_mask
 from ddic.io.input_file import find_real_path
-from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 from ddic.io.text_files import read_text
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_run import CaseRun
@@ -120,7 +120,7 @@ def _is_drawn_on(loaded: LoadedCase, image: Path) -> bool:
 
 
 class CaseFile:
-    """The file of a case as one tab knows it: it is not written over what somebody else wrote since.
+    """The file of a case as one tab found and wrote it: it is not written over what somebody else wrote since.
 
     Parameters
     ----------
@@ -139,6 +139,7 @@ class CaseFile:
         """Write the file, whole or not at all; raises InputError where it is another one by now."""
         if self._read() != self.text:
             raise InputError(f"{self._path}: was changed since this page was opened; reload the page")
+        remove_abandoned(self._path.parent)
         # Lines end as they did.
         ends = "\r\n" if self.text is not None and b"\r\n" in self._path.read_bytes() else "\n"
         with replaced_on_exit(self._path) as temporary:

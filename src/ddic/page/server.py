@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import secrets
+import signal
 import webbrowser
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -84,9 +86,17 @@ def start_server(make_page: MakePage, port: int = 0) -> tuple[Server, str]:
     return server, f"http://localhost:{server.port}/?token={token}"
 
 
+def _outlive_closed_tabs() -> None:
+    """Have a tab that is closed be an error of its connection alone: PETSc, once begun, would end the process."""
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+
+
 def start_in_thread(make_page: MakePage) -> str:
     """Serve a page beside what else this process does, until it ends; return its address."""
     address: Future[str] = Future()
+    # It takes the signal when it begins, which the next measurement of this process would do later.
+    importlib.import_module("petsc4py.PETSc")
+    _outlive_closed_tabs()
 
     def serve() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
@@ -100,6 +110,7 @@ def start_in_thread(make_page: MakePage) -> str:
 
 def run_server(make_page: MakePage, port: int, announce: Callable[[str], None], *, opens_browser: bool) -> None:
     """Serve a page until Ctrl-C; its address is announced, and opened in a browser where there is one."""
+    _outlive_closed_tabs()
     server, address = start_server(make_page, port)
     announce(address)
     if opens_browser:
