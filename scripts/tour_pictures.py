@@ -75,7 +75,8 @@ def _run_example(name: str, folder: Path) -> None:
     done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PATH": path}, text=True, capture_output=True,
                           check=False)
     if done.returncode:
-        raise RuntimeError(f"examples/{name} does not run, so its pictures cannot be drawn:\n{done.stdout}{done.stderr}")
+        raise RuntimeError(f"examples/{name} does not run, so its pictures cannot be drawn:\n"
+                           f"{done.stdout}{done.stderr}")
 
 
 def keep_picture(drawn: Path, name: str) -> list[Path]:

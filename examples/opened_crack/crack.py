@@ -1,7 +1,7 @@
 """The crack of this example: its images, and how far what is measured is from what they show.
 
-python crack.py picture FOLDER writes the two images; python crack.py compare FOLDER prints the tip, its stress intensity
-factor and the opening beside the known ones.
+python crack.py picture FOLDER writes the two images; python crack.py compare FOLDER prints the tip, its stress
+intensity factor and the opening beside the known ones.
 """
 
 import sys
