@@ -2,8 +2,8 @@
 
 README.md, CONTRIBUTING.md and CHANGELOG.md become pages, with their links turned into those of the site. Every example
 becomes a page of its text, its files, and what it prints (printed.txt). Every entry of ``extra.api`` becomes a page of
-the Python interface. A link out of docs/ to a file that is no page is shown as the file's name. Pictures of the
-README's tour are drawn by its own run (tour_pictures.py).
+the Python interface. A link out of docs/ to a file that is no page is shown as the file's name. Pictures are
+drawn by runs of the examples (tour_pictures.py).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mkdocs.structure.pages import Page
 from pygments.formatters import HtmlFormatter
 
 # mkdocs loads a hook with its own folder among those of modules.
-from tour_pictures import draw_tour
+from tour_pictures import draw_examples
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP_PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
@@ -34,9 +34,9 @@ LANGUAGES = {".py": "python", ".toml": "toml", ".sh": "bash"}
 
 
 def on_pre_build(config: MkDocsConfig) -> None:
-    """Draw the pictures of the tour."""
+    """Draw the pictures of the examples."""
     del config
-    draw_tour()
+    draw_examples()
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

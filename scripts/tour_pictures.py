@@ -1,6 +1,7 @@
-"""Pictures of the README's tour, drawn by the tour's own run: make docs keeps those in docs/pictures up to date.
+"""Pictures of the documentation, drawn by runs of the examples: make docs keeps those in docs/pictures up to date.
 
-Usage: python scripts/tour_pictures.py [folder for all files of the run, a temporary one by default].
+Usage: python scripts/tour_pictures.py [folder for all files of the runs, a temporary one by default]. This also takes
+pictures of the pages in the browser, which needs Playwright and a Chromium; make docs leaves these as they are.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from functools import cache
+from collections.abc import Iterator
+from contextlib import chdir
+from functools import cache, partial
 from pathlib import Path
 
 import cv2
@@ -19,13 +22,20 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
-KINDS = ("partition", "deformed", "strain", "residual", "krylov")
+TOUR = "demo"
+"""The README's tour is this example."""
 
-SHARE, N_COLOURS = 2 / 3, 200
-"""Of a picture's size that is kept, and colours of large ones; larger values make larger files."""
+DRAWN = {
+    TOUR: {f"pictures/result.{kind}.png": kind for kind in ("partition", "deformed", "strain", "residual", "krylov")},
+    "series": {"pictures/series.curves.png": "series_curves"},
+    "opened_crack": {"case.deformed_y.png": "crack_deformed", "case.opening.png": "crack_opening"},
+    "near_far": {"result.near-far_y.png": "near_far_example"},
+}
+"""Of each example the pictures that are taken, and their names here."""
 
-LARGEST_BYTES = 250_000
-"""Of a picture that keeps all its colours; a larger value makes larger clones."""
+SHARE, N_COLOURS, N_ROUNDS = 2 / 3, 256, 3
+"""Of a picture's size that is kept, and of its colours, which are bettered in some rounds; larger values make larger
+files, and clones."""
 
 SAME_GREY = 0.5
 """Mean difference of pixels, grey levels, up to which a picture counts as the one that is there: another processor
@@ -33,13 +43,13 @@ rounds otherwise, and every other file would be a change to commit."""
 
 
 @cache
-def draw_tour(folder: Path | None = None) -> list[Path]:
-    """Run the tour and bring its pictures up to date; once a process, however often a site is built.
+def draw_examples(folder: Path | None = None) -> list[Path]:
+    """Run the examples and bring their pictures up to date; once a process, however often a site is built.
 
     Parameters
     ----------
     folder : Path, optional
-        For all files of the run.
+        For all files of the runs.
 
     Returns
     -------
@@ -48,28 +58,49 @@ def draw_tour(folder: Path | None = None) -> list[Path]:
     """
     if folder is None:
         with tempfile.TemporaryDirectory() as temporary:
-            return draw_tour(Path(temporary))
-    _run_tour(folder)
+            return draw_examples(Path(temporary))
     replaced = []
-    for kind in KINDS:
-        drawn, kept = folder / "pictures" / f"result.{kind}.png", PICTURES / f"{kind}.png"
-        small = folder / f"{kind}.png"
-        shrink(drawn, small)
-        if not is_same(small, kept):
-            shutil.copyfile(small, kept)
-            replaced.append(kept)
+    for example, pictures in DRAWN.items():
+        _run_example(example, folder / example)
+        for drawn, name in pictures.items():
+            replaced += keep_picture(folder / example / drawn, name)
     return replaced
 
 
-def _run_tour(folder: Path) -> None:
-    """Run examples/demo/run.sh, which is the tour; its output is shown where it fails."""
+def _run_example(name: str, folder: Path) -> None:
+    """Run an example; its output is shown where it fails."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     command = ["bash", "-c", '. "$0" && exec bash "$1" "$2"', str(ROOT / "scripts" / "mpi_env.sh"),
-               str(ROOT / "examples" / "demo" / "run.sh"), str(folder)]
+               str(ROOT / "examples" / name / "run.sh"), str(folder)]
     done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PATH": path}, text=True, capture_output=True,
                           check=False)
     if done.returncode:
-        raise RuntimeError(f"the tour does not run, so its pictures cannot be drawn:\n{done.stdout}{done.stderr}")
+        raise RuntimeError(f"examples/{name} does not run, so its pictures cannot be drawn:\n"
+                           f"{done.stdout}{done.stderr}")
+
+
+def keep_picture(drawn: Path, name: str) -> list[Path]:
+    """Put a small copy of a picture into docs/pictures, unless it looks like the one that is there.
+
+    Parameters
+    ----------
+    drawn : Path
+        PNG file.
+    name : str
+        In docs/pictures.
+
+    Returns
+    -------
+    list of Path
+        The picture there if it was replaced.
+    """
+    kept = PICTURES / f"{name}.png"
+    small = drawn.with_suffix(".small.png")
+    shrink(drawn, small)
+    if is_same(small, kept):
+        return []
+    shutil.copyfile(small, kept)
+    return [kept]
 
 
 def shrink(picture: Path, small: Path) -> None:
@@ -83,9 +114,8 @@ def shrink(picture: Path, small: Path) -> None:
     with Image.open(picture) as whole:
         height = round(whole.height * SHARE)
         reduced = whole.convert("RGB").resize((round(whole.width * SHARE), height), Image.Resampling.LANCZOS)
-        reduced.save(small, optimize=True)
-        if small.stat().st_size > LARGEST_BYTES:
-            reduced.quantize(N_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(small, optimize=True)
+        reduced.quantize(N_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=N_ROUNDS, dither=Image.Dither.NONE).save(
+            small, optimize=True)
 
 
 def is_same(drawn: Path, kept: Path) -> bool:
@@ -107,6 +137,57 @@ def is_same(drawn: Path, kept: Path) -> bool:
     return float(np.abs(one.astype(float) - other.astype(float)).mean()) < SAME_GREY
 
 
+SCREEN = {"page_draw": (1720, 880), "page_view": (1500, 720)}
+"""Width and height of the browser for each of the pages, pixels."""
+
+
+def draw_pages(folder: Path) -> Iterator[Path]:
+    """Open the pages of ddic draw and ddic view in a browser, and take pictures of them.
+
+    Parameters
+    ----------
+    folder : Path
+        With the files of the examples that were run there.
+
+    Yields
+    ------
+    Path
+        Pictures that were replaced.
+    """
+    from playwright.sync_api import Page, sync_playwright
+
+    import ddic
+    from ddic.page.server import start_in_thread
+    from ddic.page.view import make_view_page
+    from ddic.probes.probes import load_probes
+
+    def show_strain(page: Page) -> None:
+        page.get_by_label("Field", exact=True).select_option("strain xx")
+        page.locator(".noUi-handle").press("End")
+
+    series, probes = folder / "series" / "series.vtkhdf", load_probes(folder / "series" / "probes.toml")
+    viewed = start_in_thread(partial(make_view_page, [series], probes))
+    # The browser refuses to confine itself where it is root.
+    launched = {"executable_path": shutil.which("chromium"), "args": ["--no-sandbox"]}
+    with chdir(folder / TOUR), sync_playwright() as playwright, playwright.chromium.launch(**launched) as browser:
+        drawn = ddic.draw("images/reference.tif").address
+        for name, address, prepare in (("page_draw", drawn, None), ("page_view", viewed, show_strain)):
+            width, height = SCREEN[name]
+            page = browser.new_page(viewport={"width": width, "height": height})
+            page.goto(address)
+            page.wait_for_timeout(WAIT_MS)
+            if prepare is not None:
+                prepare(page)
+                page.wait_for_timeout(WAIT_MS)
+            page.screenshot(path=folder / f"{name}.png")
+            yield from keep_picture(folder / f"{name}.png", name)
+
+
+WAIT_MS = 4000
+"""For a page to be drawn."""
+
 if __name__ == "__main__":
-    for path in draw_tour(Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else None):
-        print(path)
+    with tempfile.TemporaryDirectory() as temporary:
+        into = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else Path(temporary)
+        for path in [*draw_examples(into), *draw_pages(into)]:
+            print(path)

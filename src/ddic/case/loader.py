@@ -243,10 +243,10 @@ def load_case(path: Path | str) -> LoadedCase:
         each with the file, the key, the value and what is expected.
     """
     path = as_path(path, "case file")
-    return _load_case_text(read_text(path, "case file", "check the path"), path)
+    return load_case_text(read_text(path, "case file", "check the path"), path)
 
 
-def _load_case_text(text: str, path: Path) -> LoadedCase:
+def load_case_text(text: str, path: Path) -> LoadedCase:
     """Read a case from the text of its file, or of what the file is to be, as ``load_case`` does from the file."""
     place = path.resolve()
     _require_text_name(place)
@@ -271,7 +271,7 @@ def load_case_leniently(path: Path | str) -> tuple[LoadedCase | None, list[str]]
 def load_text_leniently(text: str, path: Path) -> tuple[LoadedCase | None, list[str]]:
     """Read a case from the text of its file as far as it can be read, as ``load_case_leniently`` does from the file."""
     try:
-        return _load_case_text(text, path), []
+        return load_case_text(text, path), []
     except InputError as error:
         problems = list(error.problems)
     try:
