@@ -63,7 +63,7 @@ def test_clicks_make_the_text_that_a_person_would_write(open_draw: OpenDraw, fol
     tab.enter(SIZE, 12.5)
     expected = [
         "region = [20, 20, 172.1, 170]    # x0, y0, x1, y1: where the reference image bears a pattern",
-        "element_size = 12.5    # px: the pattern's features are 4.8 px wide; an element holds some 3 along each side",
+        "element_size = 12.5    # px: features of 4.8 px, 3.4 along the side of an element",
         "circles = [{center = [96, 96], radius = 14.5}]",
         "polygons = [{vertices = [[40, 40], [60, 40], [50, 62.3]]}]",
         "[[discontinuity]]", "vertices = [[10, 130], [80.1, 135]]",

@@ -110,7 +110,7 @@ probes = st.one_of(
 @pytest.fixture(scope="module")
 def few_waves() -> Iterator[None]:
     """Noise and resolution from few waves: they are to be equal, not right."""
-    kept = (metrology.find_displacement_noise, metrology.find_strain_noise, metrology.find_displacement_resolution,
+    kept = (metrology._find_displacement_noise, metrology.find_strain_noise, metrology.find_displacement_resolution,
             metrology.find_strain_resolution)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(metrology, "N_WAVES", 16)
