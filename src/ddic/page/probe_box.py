@@ -76,7 +76,12 @@ class ProbeBox:
         kind = kind.removeprefix("probe: ")
         taken = {probe.name for probe in self.probes}
         name = next(name for name in (f"{kind}_{number}" for number in range(1, len(taken) + 2)) if name not in taken)
-        self.text.value = f"{self.text.value.rstrip()}\n\n{format_probe(_make_probe(kind, name, points))}".lstrip()
+        try:
+            section = format_probe(_make_probe(kind, name, points))
+        except InputError as error:
+            self._changed(list(error.problems))
+            return
+        self.text.value = f"{self.text.value.rstrip()}\n\n{section}".lstrip()
 
     def _read(self) -> None:
         try:

@@ -208,7 +208,7 @@ class _ViewPage:
                              visible=n_frames > 1)
         self.told = Div(width=900)
         self.values = Div(width=900, styles={"font-family": "monospace"})
-        self.probes = ProbeBox(probes, self._tell_of_probes, self._move_probes)
+        self.probes = ProbeBox(probes, self._tell_of, self._move_probes)
         self.readings = ProbeReadings(document)
         self.convergence = figure(width=380, height=260, y_axis_type="log", toolbar_location=None,
                                   x_axis_label="iteration of Gauss-Newton", y_axis_label="correction [px]")
@@ -351,11 +351,13 @@ class _ViewPage:
 
     def _take(self, name: str, points: list[Point]) -> None:
         try:
-            self.probes.add(name, self._find_places(points))
+            places = self._find_places(points)
         except InputError as error:
-            self._tell_of_probes(list(error.problems))
+            self._tell_of(list(error.problems))
+            return
+        self.probes.add(name, [self.drawer.round_point(place) for place in places])
 
-    def _tell_of_probes(self, problems: list[str]) -> None:
+    def _tell_of(self, problems: list[str]) -> None:
         if problems:
             self.values.text = escape("; ".join(problems))
         else:
@@ -370,7 +372,11 @@ class _ViewPage:
         """The field as ``ddic plot`` draws it, with the limits and colours of the page."""
         frames, result, field = self._results[self.left.value], self._result, self.field
         path = figures.find_image(result)
-        preview = None if path is None else maps.read_preview(open_image(path))
+        try:
+            preview = None if path is None else maps.read_preview(open_image(path))
+        except InputError as error:
+            self._tell_of(list(error.problems))
+            return
         look = figures.Look(field.component, maps.StrainChoice(number=field.number),
                             unit=canvas.find_length_unit(result), scale=self.scale)
         drawn = figures.draw(field.kind, figures.Drawing(result, None, look, preview))
