@@ -28,7 +28,7 @@ from ddic.page.layers import HATCH, OPACITY, STROKE, draw_field, draw_hatching, 
 from ddic.page.view import make_view_page, open_results
 from ddic.plots import canvas
 from ddic.probes.probes import Probe, load_probes
-from ddic.probes.tables import average_along, measure_probes, write_probe_table
+from ddic.probes.tables import ProbeRecord, average_along, measure_probes, write_probe_table
 from support.page_results import MESH, NOISE, Content, Motion, write_known
 from support.page_tab import Jobs, Tab
 from support.series_files import STRAIN, FrameFile, displace, write_series_file
@@ -501,8 +501,10 @@ def test_frames_of_a_series_are_shown(open_view: OpenView) -> None:
 def test_curves_are_what_probes_read(known: dict[str, Path], open_view: OpenView, probes: list[Probe]) -> None:
     tab = open_view("series", probes=probes)
     records = measure_probes(ddic.open_series(known["series"]), probes)
-    for quantity, pick in (("u_x", lambda r: r.reading.displacement[:, 0]), ("strain yy", lambda r: r.reading.strain[:, 1]),
-                           ("strain along", lambda r: r.reading.along)):
+    picks: dict[str, Callable[[ProbeRecord], NDArray[np.float64]]] = {
+        "u_x": lambda record: record.reading.displacement[:, 0],
+        "strain yy": lambda record: record.reading.strain[:, 1], "strain along": lambda record: record.reading.along}
+    for quantity, pick in picks.items():
         tab.enter("Curve of", quantity)
         shown = curves(tab, "curves")
         assert list(shown) == ["A", "B", "C", "D"]
@@ -520,7 +522,8 @@ def test_curves_are_what_probes_read(known: dict[str, Path], open_view: OpenView
         np.testing.assert_array_equal(values, record.reading.along)
 
 
-def test_the_table_has_the_digits_of_ddic_probe(known: dict[str, Path], open_view: OpenView, probes: list[Probe]) -> None:
+def test_the_table_has_the_digits_of_ddic_probe(
+        known: dict[str, Path], open_view: OpenView, probes: list[Probe]) -> None:
     tab = open_view("series", probes=probes)
     tab.enter("Frame", 3)
     head, *rows = table_of(tab)
@@ -631,7 +634,8 @@ def test_figures_of_frames_have_their_numbers(open_view: OpenView) -> None:
     assert tab.saved()[0] == "series.frame_2.displacement_magnitude.png"
 
 
-def test_a_short_series_beside_a_long_one_shows_its_last_frame(known: dict[str, Path], tmp_path: Path, jobs: Jobs) -> None:
+def test_a_short_series_beside_a_long_one_shows_its_last_frame(
+        known: dict[str, Path], tmp_path: Path, jobs: Jobs) -> None:
     short = write_series_file(tmp_path / "short.vtkhdf", [FrameFile(0.5), FrameFile(1.0)])
     tab = Tab(partial(make_view_page, [known["series"], short], []), jobs)
     tab.enter("Frame", 3)
