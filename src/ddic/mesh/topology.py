@@ -127,7 +127,7 @@ def find_named_nodes(mesh: Mesh, name: str) -> IntArray:
     if name not in mesh.node_sets:
         near = get_close_matches(name, list(mesh.node_sets), n=1)
         known = ", ".join(f'"{key}"' for key in sorted(mesh.node_sets)) or "none"
-        hint = f'did you mean "{near[0]}"?' if near else f"the mesh has: {known}"
+        hint = f'did you mean "{near[0]}"?' if near else f"the mesh has: {known}; other nodes by regularization.boxes"
         raise InputError(f'no node set is named "{name}"; {hint}')
     if len(mesh.node_sets[name]) == 0:
         raise InputError(f'the node set "{name}" holds no node of the mesh; leave it out')
