@@ -503,3 +503,13 @@ def test_synthetic_pair_takes_functions_and_fields(pair: Pair) -> None:
     assert pair[0].shape == (140, 160)
     dark, _ = ddic.make_synthetic_pair(np.zeros_like, (60, 50), hole={"center": (30, 25), "radius": 10})
     assert dark[25, 30] < 20
+
+
+def test_progress_prints_what_a_run_prints(pair: Pair, mesh: ddic.Mesh, capsys: pytest.CaptureFixture[str]) -> None:
+    ddic.measure(pair, mesh)
+    assert capsys.readouterr().out == ""
+    result = ddic.measure(pair, mesh, progress=True)
+    lines = capsys.readouterr().out.splitlines()
+    begin = next(number for number, line in enumerate(lines) if line.startswith("iter"))
+    rows = [line for line in lines[begin + 1:] if line.split() and line.split()[0].isdigit()]
+    assert len(rows) == len(result.gauss_newton["iteration"])

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from ddic.cli.console import RunConsole, is_on_terminal
 from ddic.parallel.phases import REPEATED, Phase
 from ddic.problem.weighted_problem import ProblemSize
+from ddic.results.console import RunConsole, is_on_terminal
 from ddic.results.summary import Summary
 from ddic.separated.corrections import CorrectionRecord
 from ddic.solvers.correction_size import CorrectionSize
@@ -76,7 +76,7 @@ class _Clock:
 def _log_phases(monkeypatch: pytest.MonkeyPatch, spent: Sequence[tuple[Phase, float]]) -> None:
     """A run before its iteration table."""
     clock = _Clock()
-    monkeypatch.setattr("ddic.cli.console.time.perf_counter", clock)
+    monkeypatch.setattr("ddic.results.console.time.perf_counter", clock)
     with RunConsole() as console:
         for phase, seconds in spent:
             console.phase(phase)
@@ -118,7 +118,7 @@ def test_a_log_is_silent_about_phases_that_nobody_waits_for(monkeypatch: pytest.
 def test_a_log_ends_with_the_phase_in_which_a_run_stops(monkeypatch: pytest.MonkeyPatch,
                                                         capsys: pytest.CaptureFixture[str]) -> None:
     clock = _Clock()
-    monkeypatch.setattr("ddic.cli.console.time.perf_counter", clock)
+    monkeypatch.setattr("ddic.results.console.time.perf_counter", clock)
     with RunConsole() as console:
         console.phase(Phase.ASSEMBLE)
         clock.now += 0.7

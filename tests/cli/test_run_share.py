@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from ddic.cli.progress_bar import OF_ITERATION, WEIGHTS, RunShare
 from ddic.parallel.phases import Phase
+from ddic.results.progress_bar import OF_ITERATION, WEIGHTS, RunShare
 
 
 def test_all_phases_together_are_a_run() -> None:

@@ -51,6 +51,7 @@ from ddic.methods.run import keep_failed_run, remove_failed_field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
 from ddic.partition.ties import Tying
+from ddic.results.console import RunConsole
 from ddic.results.listener import Silence
 from ddic.results.publishing import Publishable, gather, publish
 from ddic.start.given_start import GivenStart
@@ -76,11 +77,15 @@ class Session:
         All ranks.
     inputs : Inputs
         Reference images, mesh and settings.
+    progress : bool
+        Whether rank 0 prints what ``ddic run`` prints while it goes on.
     """
 
-    def __init__(self, team: Team, inputs: Inputs) -> None:
+    def __init__(self, team: Team, inputs: Inputs, progress: bool = False) -> None:
         self._team, self._inputs = team, inputs
-        self._session: MethodSession | None = prepare_session(team, inputs, Silence(), PhaseClock(waiting=team.waiting))
+        self._console = RunConsole() if progress and team.is_root else None
+        self._session: MethodSession | None = prepare_session(team, inputs, self._console or Silence(),
+                                                              PhaseClock(waiting=team.waiting))
         # Unknowns of the last field alone: its images would stay in memory.
         self._last: Any = None
 
@@ -143,6 +148,8 @@ class Session:
             self._session.close()
         self._session = None
         self._last = None
+        if self._console is not None:
+            self._console.stop()
 
     def _require_open(self) -> MethodSession:
         if self._session is None:
@@ -227,7 +234,8 @@ def _check_same_size(image: MaskedSource, reference: MaskedSource, name: str) ->
 def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike] | None = None,
             mesh: MeshLike | str | Path | Mapping[str, Any] | None = None, *,
             start: StartLike | Mapping[str, Any] | None = None, output: str | Path | Mapping[str, Any] | None = None,
-            kinematics: ChooseKinematics | None = None, comm: MPI.Comm | None = None, **sections: Any) -> Result:
+            kinematics: ChooseKinematics | None = None, comm: MPI.Comm | None = None, progress: bool = False,
+            **sections: Any) -> Result:
     """Measure the displacement between two images; collective under mpirun.
 
     Every section of a case file is an argument of the same name, and its keys are the same:
@@ -252,6 +260,8 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike] | None 
         From the mesh to its kinematics; by default the unknowns are the displacements of the nodes.
     comm : mpi4py.MPI.Comm, optional
         The ranks that measure together; by default all that were started.
+    progress : bool, optional
+        Whether to print, in a notebook too, what ``ddic run`` prints while it goes on.
     **sections
         Other sections and keys of a case file, for a pair of images: ``regularization``, ``solver``, ``title``, ...
 
@@ -270,16 +280,17 @@ def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike] | None 
                                                  kinematics=kinematics, comm=comm))
     if isinstance(source, str | Path | Case | LoadedCase):
         inputs, frame = _open_case(team, source, given)
-        with Session(team, inputs) as session:
+        with Session(team, inputs, progress) as session:
             return session._measure_frame(frame, session._convert_start(given.start), given.output)
     reference, deformed = team.together(lambda: _pair(source, given))
-    with _prepare(team, reference, given, 1) as session:
+    with _prepare(team, reference, given, 1, progress) as session:
         return session.measure(deformed, start=given.start, output=given.output)
 
 
 def prepare(source: ImageLike | Case | LoadedCase | None = None,
             mesh: MeshLike | str | Path | Mapping[str, Any] | None = None, *,
-            kinematics: ChooseKinematics | None = None, comm: MPI.Comm | None = None, **sections: Any) -> Session:
+            kinematics: ChooseKinematics | None = None, comm: MPI.Comm | None = None, progress: bool = False,
+            **sections: Any) -> Session:
     """Prepare a reference image for any number of deformed ones; collective under mpirun.
 
     Parameters
@@ -293,6 +304,8 @@ def prepare(source: ImageLike | Case | LoadedCase | None = None,
         From the mesh to its kinematics; by default the unknowns are the displacements of the nodes.
     comm : mpi4py.MPI.Comm, optional
         The ranks that measure together; by default all that were started.
+    progress : bool, optional
+        Whether to print, in a notebook too, what ``ddic run`` prints while it goes on.
     **sections
         Other sections and keys of a case file, for an image.
 
@@ -313,8 +326,8 @@ def prepare(source: ImageLike | Case | LoadedCase | None = None,
     team.together(lambda: _refuse_what_frames_are_given(given))
     if isinstance(source, Case | LoadedCase) or (isinstance(source, str | Path) and Path(source).suffix == ".toml"):
         inputs, _ = _open_case(team, source, given)
-        return Session(team, replace(inputs, n_frames=FRAMES))
-    return _prepare(team, given.reference if source is None else source, given, FRAMES)
+        return Session(team, replace(inputs, n_frames=FRAMES), progress)
+    return _prepare(team, given.reference if source is None else source, given, FRAMES, progress)
 
 
 def _refuse_what_frames_are_given(given: Arguments) -> None:
@@ -324,7 +337,7 @@ def _refuse_what_frames_are_given(given: Arguments) -> None:
             raise InputError(f"{name}: a session is prepared once for many images; give it to session.measure, of each")
 
 
-def _prepare(team: Team, source: Any, given: Arguments, n_frames: int) -> Session:
+def _prepare(team: Team, source: Any, given: Arguments, n_frames: int, progress: bool) -> Session:
     """A session of a reference image for as many frames as are expected; collective."""
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
     loaded, mesh = team.together(lambda: _look(team, given))
@@ -349,7 +362,7 @@ def _prepare(team: Team, source: Any, given: Arguments, n_frames: int) -> Sessio
         return whole, None
 
     return Session(team, Inputs(loaded.case, (camera,), build, check_kinematics(given.kinematics), given_mesh=mesh,
-                                n_frames=n_frames))
+                                n_frames=n_frames), progress)
 
 
 def _look(team: Team, given: Arguments) -> tuple[LoadedCase, Mesh | None]:

@@ -110,7 +110,7 @@ def _start(petsc_options: tuple[str, ...], stop: StopRequest) -> Team:
     prepare_kernels()
     team = replace(Team.world(), stop=stop)
     if team.is_root:
-        import ddic.cli.console  # noqa: F401
+        import ddic.results.console  # noqa: F401
     stop.has_begun = True
     return team
 
@@ -143,7 +143,7 @@ def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...],
             if not team.is_root:
                 run_file(team, case_file, Silence(), resume=resume)
             else:
-                from ddic.cli.console import RunConsole
+                from ddic.results.console import RunConsole
 
                 with RunConsole() as console:
                     console.finish(run_file(team, case_file, console, resume=resume))

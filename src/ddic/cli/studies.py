@@ -74,7 +74,7 @@ def _try_all(team: Team, case_file: Path, lengths: list[float] | None, elements:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     from ddic.api.studies import choose_regularization
-    from ddic.cli.console import is_on_terminal
+    from ddic.results.console import is_on_terminal
 
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=Console(stderr=True), transient=True,
@@ -128,7 +128,7 @@ def _print_table(found: Sweep) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from ddic.cli.console import is_on_terminal
+    from ddic.results.console import is_on_terminal
     from ddic.results.sweep import COLUMNS, format_rows
 
     table = Table(box=None, header_style="bold", pad_edge=False)

@@ -18,7 +18,7 @@ from ddic.results.summary import SeriesSummary, Summary
 from ddic.solvers.gauss_newton import IterationRecord
 
 if TYPE_CHECKING:
-    from ddic.cli.progress_bar import ProgressBar
+    from ddic.results.progress_bar import ProgressBar
     from ddic.separated.corrections import CorrectionRecord
 
 
@@ -43,7 +43,7 @@ class RunConsole:
         self._shown: ProgressBar | _PhaseLines = _PhaseLines()
         if is_on_terminal():
             # Here, for a batch log does without Rich.
-            from ddic.cli.progress_bar import ProgressBar
+            from ddic.results.progress_bar import ProgressBar
 
             self._shown = ProgressBar()
         self._print = self._shown.show_line
@@ -55,6 +55,10 @@ class RunConsole:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Take the bar off the terminal, and print the phases that have not been."""
         self._shown.stop()
 
     def phase(self, phase: Phase) -> None:
