@@ -112,9 +112,9 @@ class Frames:
         result = self[number]
         time = result.attributes.get(schema.TIME, {}).get("deformed", np.nan)
         verdict = "" if result.verdict is None else f": {result.verdict.describe()}"
-        return f"{self.path.name}{self.name_frame(number, ', frame ')}, time {format_number(float(time))}{verdict}"
+        return f"{self.path.name}{self.format_frame(number, ', frame ')}, time {format_number(float(time))}{verdict}"
 
-    def name_frame(self, number: int, before: str) -> str:
+    def format_frame(self, number: int, before: str) -> str:
         """Give the number of a frame in its series, after a text; nothing of a pair."""
         return "" if self.series is None else f"{before}{self.series.numbers[min(number, len(self) - 1)]}"
 
@@ -126,7 +126,7 @@ def find_image_size(result: Result) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def subtract_values(values: maps.Values, mesh: Mesh, field: FieldChoice, other: Result) -> maps.Values | None:
+def measure_difference(values: maps.Values, mesh: Mesh, field: FieldChoice, other: Result) -> maps.Values | None:
     """Subtract the same field of another result, at the nodes or in the middle of the cells; None where it has none."""
     less = field.find_values(other)
     if less is None:

@@ -44,9 +44,9 @@ from ddic.page.frames import (
     describe_point,
     find_hatched,
     find_image_size,
+    measure_difference,
     move_back,
     move_mesh,
-    subtract_values,
 )
 from ddic.page.image_pane import ImagePane, Rgba, ScreenImage, ScreenRaster
 from ddic.page.layers import Overlay, draw_field, draw_hatching, list_colours
@@ -124,7 +124,7 @@ class _FieldPane:
         result = self.frames[page.number]
         values = page.field.find_values(result)
         if values is not None and self.subtracted is not None:
-            values = subtract_values(values, result.mesh, page.field, self.subtracted[page.number])
+            values = measure_difference(values, result.mesh, page.field, self.subtracted[page.number])
         if values is None:
             self._bar.title = f"{page.field.name}: not in this result"
             return
@@ -382,7 +382,7 @@ class _ViewPage:
         drawn = figures.draw(field.kind, figures.Drawing(result, None, look, preview))
         stream = BytesIO()
         drawn.savefig(stream, format=ending, dpi=canvas.DPI)
-        name = f"{frames.path.stem}{frames.name_frame(self.number, '.frame_')}.{field.name.replace(' ', '_')}"
+        name = f"{frames.path.stem}{frames.format_frame(self.number, '.frame_')}.{field.name.replace(' ', '_')}"
         self._send(f"{name}.{ending}", stream.getvalue())
 
     def _export_table(self) -> None:
