@@ -448,6 +448,9 @@ def test_clicks_snap_to_the_outline_of_a_mask(folder: Path, jobs: Jobs) -> None:
     assert not mask[y - 1:y + 2, x - 1:x + 2].all()
     assert np.hypot(x - 155.0, y - 96.5) < 2.0
     assert other == [100.3, 96]
+    # Both ends of a probe at one place, two clicks apart.
+    tab.draw("probe: line", [(155.0, 102.3), (156.1, 102.0)])
+    assert "give two points" in problems(tab)
 
 
 # The file.
