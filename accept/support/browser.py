@@ -145,10 +145,13 @@ class Tab:
         Of the page.
     figure : str
         Name of the figure that holds the image: image, or field for results.
+    watch : str
+        Script that runs before the page.
     """
 
-    def __init__(self, browser: Browser, address: str, figure: str = "image") -> None:
+    def __init__(self, browser: Browser, address: str, figure: str = "image", watch: str = "") -> None:
         self.page: Page = browser.new_page(viewport=SCREEN)
+        self.page.add_init_script(watch)
         self.figure = figure
         self.faults: list[str] = []
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
