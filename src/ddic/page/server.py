@@ -115,9 +115,7 @@ def run_server(make_page: MakePage, port: int, announce: Callable[[str], None], 
     announce(address)
     if opens_browser:
         webbrowser.open(address)
-    try:
-        server.io_loop.start()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        server.stop()
+    # Between two events of the page, not in the middle of one.
+    server.io_loop.asyncio_loop.add_signal_handler(signal.SIGINT, server.io_loop.stop)
+    server.io_loop.start()
+    server.stop()
