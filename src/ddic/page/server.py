@@ -115,7 +115,9 @@ def run_server(make_page: MakePage, port: int, announce: Callable[[str], None], 
     announce(address)
     if opens_browser:
         webbrowser.open(address)
-    # Between two events of the page, not in the middle of one.
-    server.io_loop.asyncio_loop.add_signal_handler(signal.SIGINT, server.io_loop.stop)
-    server.io_loop.start()
-    server.stop()
+    try:
+        server.io_loop.start()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
