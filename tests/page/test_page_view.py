@@ -24,7 +24,7 @@ from ddic.cli.tables import probe
 from ddic.errors import InputError
 from ddic.page import frames as page_frames
 from ddic.page.frames import FIELDS, Frames, move_back
-from ddic.page.layers import HATCH, OPACITY, STROKE, draw_field, draw_hatching, list_colours
+from ddic.page.layers import HATCH, OPACITY, STROKE, list_colours
 from ddic.page.view import make_view_page, open_results
 from ddic.plots import canvas
 from ddic.probes.probes import Probe, load_probes
@@ -212,18 +212,6 @@ def test_cells_that_say_little_are_hatched(open_view: OpenView) -> None:
         # A stroke of three pixels in nine, but for what the edges cut off.
         n_pixels = (8.0 / pitch)**2
         assert len(of_cell) / n_pixels == pytest.approx(STROKE / HATCH, abs=0.1)
-
-
-def test_layers_leave_what_is_not_known() -> None:
-    rgba = np.full((2, 3, 4), 100, np.uint8)
-    draw_field(rgba, np.array([0.0, np.nan, 1.0, 5.0, -5.0, np.nan]), (0.0, 1.0), "gray")
-    assert rgba[0, :, 0].tolist() == [30, 100, 30 + round(0.7 * 255)]
-    # Beyond the limits: the colours at the ends.
-    assert rgba[1, :, 0].tolist() == [30 + round(0.7 * 255), 30, 100]
-    assert (rgba[..., 3] == 100).all()
-    draw_hatching(rgba, np.array([False, True, False, False, False, False]), (9, 8, 7))
-    assert rgba[0, 1, :3].tolist() == [9, 8, 7]
-    assert rgba[0, 0, 0] == 30
 
 
 def test_a_difference_is_the_known_one(open_view: OpenView) -> None:
