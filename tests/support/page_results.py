@@ -46,6 +46,7 @@ class Content:
     residual: Array = field(default_factory=lambda: 1.0 + np.arange(MESH.n_cells) / MESH.n_cells)
     excluded: tuple[int, ...] = ()
     doubtful: tuple[int, ...] = ()
+    unmeasured: tuple[int, ...] = ()
     with_uncertainty: bool = True
     mesh: Mesh = MESH
 
@@ -54,6 +55,7 @@ def write_known(path: Path, motion: Motion, content: Content = Content()) -> Pat
     """Write a result in one piece."""
     mesh = content.mesh
     u = motion.displace(mesh.nodes)
+    u[list(content.unmeasured)] = np.nan
     xx, yy, xy = motion.strain
     tensor = np.array([xx, yy, 0.0, xy, 0.0, 0.0])
     points: dict[str, NDArray[Any]] = {

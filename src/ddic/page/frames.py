@@ -160,6 +160,10 @@ def find_hatched(result: Result) -> tuple[BoolArray, BoolArray]:
 
 def describe_point(result: Result, x: float, y: float) -> str:
     """Say in a line what a point probe reads, with standard deviations, in the digits of ``ddic probe``."""
+    low, high = result.mesh.outlines.find_boxes()
+    if not ((low <= (x, y)) & (high >= (x, y))).all(axis=1).any():
+        # At once, for the pointer goes on.
+        return f"x = {x:.2f}, y = {y:.2f} px: outside the mesh or in a hole"
     record = measure_probes([result], [PointProbe("here", (x, y))])[0]
     size, reading, known = record.unit.size, record.reading, record.metrology
     u_x, u_y = (format_digits(size * value, ".5g") for value in reading.displacement[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -29,6 +30,9 @@ HATCH, STROKE = 9, 3
 SUBPIXEL_BITS = 4
 """Of the places of lines: sixteenths of a pixel."""
 
+_find_outline = lru_cache(maxsize=1)(find_boundary_facets)
+"""Of the mesh that was drawn last, for the next zoom: it takes a second for a million cells."""
+
 
 def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> None:
     """Draw the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone."""
@@ -40,7 +44,7 @@ def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> 
     if sides >= SMALLEST_CELL:
         _draw_lines(rgba, [corners[mesh.get_cell(cell)] for cell in in_sight], colour, closed=True)
     else:
-        _draw_lines(rgba, list(corners[find_boundary_facets(mesh)[:, :2]]), colour, closed=False)
+        _draw_lines(rgba, list(corners[_find_outline(mesh)[:, :2]]), colour, closed=False)
 
 
 def _draw_lines(rgba: Rgba, lines: list[Array], colour: Colour, *, closed: bool) -> None:
