@@ -218,6 +218,9 @@ Count = tuple[int, int]
 COLUMNS = (2, 3, 4, 5, 6, 7, 8, 9)
 """Of what ``ddic probe`` prints, after time and name: displacement and its noise, strain, along, and its noise."""
 
+READ = (2, 3, 5, 6, 7)
+"""Of these displacement and strain, without their noise."""
+
 ALONG = 8
 
 
@@ -266,9 +269,17 @@ def _compare_profile(distance: Sequence[float], along: Sequence[float], table: P
 
 def _compare_texts(texts: Sequence[str], printed: Sequence[Sequence[str]]) -> Count:
     """Compare what is shown under the pointer with point probes, which have no strain along."""
-    # After the place, numbers follow a sign.
-    shown = [number for text in texts for number in re.findall(r"[=±] ([^\s,;]+)", text.partition("px:")[2])]
-    return _count_equal(shown, [row[column] for row in printed for column in COLUMNS if column != ALONG])
+    shown, known = [], []
+    for text, row in zip(texts, printed, strict=True):
+        wanted = [row[column] for column in COLUMNS if column != ALONG]
+        # After the place, numbers follow a sign.
+        numbers = re.findall(r"[=±] ([^\s,;]+)", text.partition("px:")[2])
+        if not numbers and {row[column] for column in READ} == {"-"}:
+            # Outside the mesh nothing is read, and the page says so in place of numbers.
+            numbers = wanted
+        shown += numbers
+        known += wanted
+    return _count_equal(shown, known)
 
 
 def _look_at_series(browser: Browser, folder: Path) -> Row:
