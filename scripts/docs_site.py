@@ -23,7 +23,7 @@ from pygments.formatters import HtmlFormatter
 from tour_pictures import draw_examples
 
 ROOT = Path(__file__).resolve().parents[1]
-TOP_PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+TOP_PAGES = {"README.md": "readme.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Files of the repository's top level that are pages, and their names in the site."""
 TABLE_STYLE = """.wy-nav-content { max-width: 1100px; }
 .rst-content table.docutils td, .rst-content table td { white-space: normal; }
@@ -47,7 +47,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     guides = sorted((ROOT / "docs" / "guides").glob("*.md"))
     # The others than those for users, which are listed by hand.
     names = [f"guides/{path.name}" for path in guides]
-    sections["Developers"].extend(name for name in names if name not in sections["Guide"])
+    sections["Developers"].extend(name for name in names if name not in sections["How to"])
     # Tests and a person at work both want to know about files that nothing lists.
     config.watch.append(str(ROOT / "examples"))
     return config
