@@ -158,7 +158,7 @@ class Box:
 
 
 def test_buttons_follow_the_run_in_all_tabs(tmp_path: Path, imitate: Imitate) -> None:
-    imitate(f"echo begun; touch {tmp_path}/ready; trap 'exit 3' USR1; while true; do sleep 0.02; done")
+    imitate(f"trap 'exit 3' USR1; echo begun; touch {tmp_path}/ready; while true; do sleep 0.02; done")
     run = CaseRun(tmp_path / "case.toml")
     one, other = Box(run), Box(run)
     for box in (one, other):
@@ -313,7 +313,8 @@ def test_a_run_that_is_stopped_keeps_its_field(folder: Path, jobs: Jobs, imitate
 def test_a_run_outlives_its_page(tmp_path: Path) -> None:
     """Ctrl-C reaches the page's whole group of processes, and a kill the page: neither ends the measurement."""
     program = tmp_path / "imitated"
-    program.write_text(f"#!/bin/sh\ntouch {tmp_path}/begun\nsleep 1\ntouch {tmp_path}/ended\n", encoding="utf-8")
+    program.write_text(f"#!/bin/sh\ntouch {tmp_path}/begun\nfor i in $(seq 3000); do test -e {tmp_path}/go && break; "
+                       f"sleep 0.02; done\ntouch {tmp_path}/ended\n", encoding="utf-8")
     program.chmod(0o700)
     page = ("import sys, time\nfrom pathlib import Path\nfrom ddic.page.case_run import CaseRun\n"
             f"sys.executable = {str(program)!r}\nrun = CaseRun(Path('case.toml'))\nrun.start(1)\ntime.sleep(60)\n")
@@ -327,4 +328,5 @@ def test_a_run_outlives_its_page(tmp_path: Path) -> None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     assert not (tmp_path / "ended").exists()
+    (tmp_path / "go").touch()
     wait_for(tmp_path / "ended")

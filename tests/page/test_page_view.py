@@ -110,7 +110,7 @@ def hover(tab: Tab, x: float, y: float, pane: str = "field") -> str:
     for source in tab.find(Plot, name=pane).js_event_callbacks["mousemove"]:
         source.args["source"].data = {"x": [x], "y": [y]}
     tab.settle()
-    line = re.search(r"^x = .*$|^outside.*$", tab.texts(), re.MULTILINE)
+    line = re.search(r"^(\w+\.vtkhdf: )?(x = |outside).*$", tab.texts(), re.MULTILINE)
     assert line
     return html.unescape(line[0])
 
@@ -345,6 +345,17 @@ def test_the_pointer_reads_what_ddic_probe_prints(
     assert found, said
     assert [*found.groups()][2:9] == printed
     assert (float(found[1]), float(found[2])) == pytest.approx(point, abs=0.005)
+
+
+def test_each_pane_reads_its_own_result(open_view: OpenView) -> None:
+    """Of a difference it is the result that is less the other one."""
+    tab = open_view("one", "other")
+    for pane, name, motion in (("field", "one", ONE), ("beside", "other", OTHER)):
+        u_x, u_y = motion.displace(np.array([(40.0, 50.0)]))[0]
+        assert hover(tab, 40.0, 50.0, pane).startswith(
+            f"{name}.vtkhdf: x = 40.00, y = 50.00 px: u_x = {u_x:.5g}, u_y = {u_y:.5g} ")
+    tab.enter("Beside it", "difference")
+    assert hover(tab, 40.0, 50.0, "beside").startswith("one.vtkhdf: ")
 
 
 def test_beside_the_mesh_nothing_is_read(open_view: OpenView) -> None:

@@ -273,10 +273,9 @@ class _DrawPage:
 
     def _draw_again(self) -> None:
         mesh = self._checked.mesh
-        is_weak = np.zeros(0, dtype=bool)
+        nodes = np.zeros((0, 2))
         if mesh is not None and WEAK in self._get_shown():
-            is_weak = self._drawn.pattern.find_bare(mesh.nodes)
-        nodes = mesh.nodes[is_weak] if mesh is not None and len(is_weak) else np.zeros((0, 2))
+            nodes = mesh.nodes[self._drawn.pattern.find_bare(mesh.nodes)]
         self._weak.data = {"x": nodes[:, 0], "y": nodes[:, 1]}
         self.pane.draw()
 

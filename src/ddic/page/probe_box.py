@@ -189,12 +189,9 @@ class ProbeReadings:
         try:
             read = _read_frames(frames, probes)
         except InputError as error:
-            self._document.add_next_tick_callback(partial(self._tell, str(error)))
+            self._document.add_next_tick_callback(partial(self.table.update, text=escape(str(error))))
             return
         self._document.add_next_tick_callback(partial(self._take, read))
-
-    def _tell(self, problem: str) -> None:
-        self.table.text = escape(problem)
 
     def _take(self, read: dict[tuple[Frames, Probe], list[ProbeRecord]]) -> None:
         self._known |= read

@@ -108,7 +108,7 @@ class _FieldPane:
         self._bar = ColorBar(color_mapper=self._colours, title="", width=12,
                              formatter=PrintfTickFormatter(format="%-9.3g"))
         self.pane.figure.add_layout(self._bar, "right")
-        self.pane.send_pointer(page.point_at)
+        self.pane.send_pointer(lambda x, y: page.point_at(self.frames, x, y) if self.frames is not None else None)
 
     def _find_overlay(self, result: Result, raster: ScreenRaster) -> Overlay:
         """Where the screen's pixels lie in a mesh; the search is kept as long as neither changes."""
@@ -328,21 +328,19 @@ class _ViewPage:
         corrections = frames[self.number].gauss_newton.get("rms_correction_px", np.zeros(0))
         self._steps.data = {"x": np.arange(1, len(corrections) + 1), "y": corrections}
 
-    def point_at(self, x: float, y: float) -> None:
-        """Say what is measured under the pointer."""
+    def point_at(self, frames: Frames, x: float, y: float) -> None:
+        """Say what a result measured under the pointer, and which one where there are several."""
+        result = frames[self.number]
         try:
-            result, (point,) = self._result, self._find_places([(x, y)])
-            self.values.text = escape(describe_point(result, *point))
+            (place,) = move_back(result, [(x, y)]) if self.is_moved else [(x, y)]
+            said = describe_point(result, *place)
         except InputError as error:
-            self.values.text = escape(str(error))
+            said = str(error)
+        self.values.text = escape(f"{frames.path.name}: {said}" if len(self._panes) > 1 else said)
 
     @property
     def _result(self) -> Result:
         return self._results[self.left.value][self.number]
-
-    def _find_places(self, points: list[Point]) -> list[Point]:
-        """Places in the reference image of what is seen at points; raises InputError where that is not known."""
-        return move_back(self._result, points) if self.is_moved else points
 
     def _move_probes(self, points: Array) -> Array:
         """Where points of the reference image are seen; where that is not known, where they were."""
@@ -351,7 +349,7 @@ class _ViewPage:
 
     def _take(self, name: str, points: list[Point]) -> None:
         try:
-            places = self._find_places(points)
+            places = move_back(self._result, points) if self.is_moved else points
         except InputError as error:
             self._tell_of(list(error.problems))
             return
