@@ -76,6 +76,8 @@ class _DrawPage:
         self.pane = ImagePane(drawn.image, [self._paint])
         self._shapes: dict[str, Shape] = {}
         self._make_controls()
+        # At once: the check of a large case takes seconds.
+        self.pane.paint()
         self._follow_text()
         document.on_session_destroyed(lambda context: self._worker.shutdown(wait=False))
 
