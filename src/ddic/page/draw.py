@@ -272,7 +272,7 @@ class _DrawPage:
             strength = np.log10(np.maximum(self._drawn.pattern.find_strength(mesh.centroids), 1e-12))
             paint_field(picture, Overlay.find(mesh, raster).sample(strength, by_cell=True), STRENGTHS, "RdYlGn")
         if EDGES in self._get_shown():
-            paint_edges(picture, raster, mesh, (90, 200, 255))
+            paint_edges(picture, raster, mesh, self._checked.outline, (90, 200, 255))
 
     def _show_numbers(self) -> None:
         shape = self._shapes.get(self.chosen.value)

@@ -9,10 +9,9 @@ import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.interpolation import Located, interpolate_located, locate
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import find_boundary_facets
 from ddic.page.image_pane import Picture, ScreenRaster
 
 Colour = tuple[int, int, int]
@@ -30,8 +29,11 @@ SUBPIXEL_BITS = 4
 """Of the places of lines: sixteenths of a pixel."""
 
 
-def paint_edges(picture: Picture, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> None:
-    """Paint the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone."""
+def paint_edges(picture: Picture, raster: ScreenRaster, mesh: Mesh, outline: IntArray, colour: Colour) -> None:
+    """Paint the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone.
+
+    ``outline`` are both nodes of its edges, (n_edges, 2).
+    """
     corners = raster.place(mesh.nodes)
     low, high = mesh.outlines.find_boxes()
     x0, y0, x1, y1 = raster.box
@@ -40,7 +42,7 @@ def paint_edges(picture: Picture, raster: ScreenRaster, mesh: Mesh, colour: Colo
     if sides >= SMALLEST_CELL:
         _paint_lines(picture, [corners[mesh.get_cell(cell)] for cell in in_sight], colour, closed=True)
     else:
-        _paint_lines(picture, list(corners[find_boundary_facets(mesh)[:, :2]]), colour, closed=False)
+        _paint_lines(picture, list(corners[outline]), colour, closed=False)
 
 
 def _paint_lines(picture: Picture, lines: list[Array], colour: Colour, *, closed: bool) -> None:
