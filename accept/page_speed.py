@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -196,6 +197,8 @@ def measure_slider(scale: Scale) -> list[Row]:
     folder = scale.folder("series_rate")
     write_frames(FAST, folder)
     if not (folder / "slider.vtkhdf").is_file():
+        # What a run that was ended has left would be gone on with.
+        shutil.rmtree(folder / "slider.frames", ignore_errors=True)
         ddic_run(describe_case(FAST, ELEMENT), folder, 2, "slider")
     series = read_series(folder / "slider.vtkhdf")
     n_cells = series[0].mesh.n_cells

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.topology import find_boundary_facets
 from ddic.page.image_pane import ScreenRaster
 from ddic.page.layers import SMALLEST_CELL, Overlay, draw_edges, draw_field, draw_hatching
 from support.random_meshes import grid_mesh
@@ -19,7 +20,7 @@ def drawn_edges(element_size: float) -> NDArray[np.bool_]:
     """Where something was drawn, of a mesh from 10 to 58 px and from 10 to 42 px."""
     rgba = np.full((*RASTER.grey.shape, 4), 100, np.uint8)
     mesh = build_structured_mesh((10.0, 10.0, 58.0, 42.0), element_size)
-    draw_edges(rgba, RASTER, mesh, (255, 0, 0))
+    draw_edges(rgba, RASTER, mesh, find_boundary_facets(mesh)[:, :2], (255, 0, 0))
     return np.asarray((rgba[..., :3] != 100).any(axis=2))
 
 

@@ -80,6 +80,8 @@ class _DrawPage:
         self.pane = ImagePane(drawn.image, [self._draw])
         self._shapes: dict[str, Shape] = {}
         self._make_controls()
+        # At once: the check of a large case takes seconds.
+        self.pane.draw()
         self._follow_text()
         document.on_session_destroyed(lambda context: self._worker.shutdown(wait=False))
 
@@ -290,7 +292,7 @@ class _DrawPage:
             strength = np.log10(np.maximum(self._drawn.pattern.find_strength(mesh.centroids), 1e-12))
             draw_field(rgba, Overlay.find(mesh, raster).interpolate(strength, by_cell=True), STRENGTHS, "RdYlGn")
         if EDGES in self._get_shown():
-            draw_edges(rgba, raster, mesh, (90, 200, 255))
+            draw_edges(rgba, raster, mesh, self._checked.outline, (90, 200, 255))
 
     def _show_numbers(self) -> None:
         shape = self._shapes.get(self.chosen.value)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.interpolation import Located, interpolate_located, locate
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.topology import find_boundary_facets
 from ddic.page.image_pane import Rgba, ScreenRaster
 
 Colour = tuple[int, int, int]
@@ -30,12 +28,12 @@ HATCH, STROKE = 9, 3
 SUBPIXEL_BITS = 4
 """Of the places of lines: sixteenths of a pixel."""
 
-_find_outline = lru_cache(maxsize=1)(find_boundary_facets)
-"""Of the mesh that was drawn last, for the next zoom: it takes a second for a million cells."""
 
+def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh, outline: IntArray, colour: Colour) -> None:
+    """Draw the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone.
 
-def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> None:
-    """Draw the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone."""
+    ``outline`` are both nodes of its edges, (n_edges, 2).
+    """
     corners = raster.place(mesh.nodes)
     low, high = mesh.outlines.find_boxes()
     x0, y0, x1, y1 = raster.box
@@ -44,7 +42,7 @@ def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh, colour: Colour) -> 
     if sides >= SMALLEST_CELL:
         _draw_lines(rgba, [corners[mesh.get_cell(cell)] for cell in in_sight], colour, closed=True)
     else:
-        _draw_lines(rgba, list(corners[_find_outline(mesh)[:, :2]]), colour, closed=False)
+        _draw_lines(rgba, list(corners[outline]), colour, closed=False)
 
 
 def _draw_lines(rgba: Rgba, lines: list[Array], colour: Colour, *, closed: bool) -> None:

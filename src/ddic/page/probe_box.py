@@ -219,6 +219,8 @@ class ProbeReadings:
 
     def _draw(self, drawn: figure, curves: Sequence[tuple[str, Array, Array]], along: str, unit: str) -> None:
         """Draw curves (name, x, y) in the place of those before."""
+        if not curves and not drawn.visible:
+            return
         drawn.renderers = []
         drawn.right = []
         drawn.visible = bool(curves)
