@@ -163,9 +163,7 @@ TABLES: dict[str, dict[str, str]] = {
         "edit": "drawn_cases.measure_edit",
         "wrong_inputs": "page_mistakes.measure_wrong_inputs",
         "requests": "page_server.measure_requests",
-        "ends": "page_server.measure_ends",
         "large": "page_speed.measure_large",
-        "slider": "page_speed.measure_slider",
         "colours": "outlier_colours.measure_colours",
     },
     "clean": {
