@@ -193,7 +193,7 @@ N_KILLS, N_CLOSED = 20, 30
 LONG = 4_000_000
 """Characters of a comment that makes a case long to write."""
 
-LATEST_S = 0.02
+LATEST_S = 0.005
 """After a write has begun, in which the server is killed."""
 
 GONE_S = 10.0

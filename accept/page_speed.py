@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import re
 import shutil
 import time
@@ -185,13 +184,12 @@ def _read_peak(pid: int) -> float:
 
 MOST_FRAME_S = 0.3
 
-N_MOVES = 20
-
-_SEED = 7
+N_MOVES, STRIDE = 20, 0.382
+"""Moves of the slider, and its way from one to the next, as a share of its length, when it does not go by one."""
 
 
 def measure_slider(scale: Scale) -> list[Row]:
-    """Move the slider of a long series by a frame and to any frame, over the reference and the deformed images."""
+    """Move the slider of a long series by a frame and farther, over the reference and the deformed images."""
     if scale.smoke:
         return []
     folder = scale.folder("series_rate")
@@ -209,12 +207,12 @@ def measure_slider(scale: Scale) -> list[Row]:
             if over == "deformed":
                 tab.page.get_by_label("over the deformed image").check()
                 time.sleep(2.0)
-            seconds = {"by one": _step(tab), "to any": _jump(tab, len(series))}
+            seconds = {"by one": _step(tab), "far": _jump(tab)}
             tab.close()
             append_result(RUNS, {"over": over, **seconds})
             told = "; ".join(f"{how} {median(all_):.2f} s ({_span(all_)})" for how, all_ in seconds.items())
             rows.append(Row(f"series of {len(series)} frames, {n_cells} cells, displacement over the {over} image: "
-                            f"slider moved to picture drawn, {N_MOVES} times by one frame and {N_MOVES} times to any",
+                            f"slider moved to picture drawn, {N_MOVES} times by one frame and {N_MOVES} times far",
                             f"medians at most {MOST_FRAME_S:g} s", told,
                             all(median(all_) <= MOST_FRAME_S for all_ in seconds.values()), judged_small=False))
     return rows
@@ -226,12 +224,12 @@ def _step(tab: Tab) -> list[float]:
     return [time_next(tab, "keydown", lambda: tab.page.keyboard.press("ArrowRight")) for _ in range(N_MOVES)]
 
 
-def _jump(tab: Tab, n_frames: int) -> list[float]:
-    """Seconds of moves to any frame."""
-    draw = random.Random(_SEED)
+def _jump(tab: Tab) -> list[float]:
+    """Seconds of moves far from where the slider is."""
     box = tab.page.locator(".noUi-base").first.bounding_box()
     assert box is not None
     middle = box["y"] + box["height"] / 2
-    places = [box["x"] + box["width"] * number / n_frames for number in draw.sample(range(5, n_frames - 5), N_MOVES)]
+    shares = [0.05 + 0.9 * (number * STRIDE % 1.0) for number in range(1, N_MOVES + 1)]
+    places = [box["x"] + box["width"] * share for share in shares]
     return [time_next(tab, "pointerdown", lambda: tab.page.mouse.click(place, middle))  # noqa: B023  called at once
             for place in places]
