@@ -142,7 +142,7 @@ def set_outliers(path: Path, result: Result, stripe: NDArray[np.int64]) -> None:
 
 def _drop_nan(values: Array) -> Array:
     columns = values.reshape(len(values), -1)
-    return columns[np.isfinite(columns).all(axis=1)]
+    return np.asarray(columns[np.isfinite(columns).all(axis=1)])
 
 
 def _compare(paths: tuple[Path, Path], stripe: NDArray[np.int64], kind: str,
@@ -196,7 +196,7 @@ def _find_pixels(axes: Axes, points: Array, height: int) -> NDArray[np.int64]:
     figure = axes.get_figure()
     assert figure is not None
     x, y = (axes.transData.transform(points) * DPI / figure.dpi).T
-    return np.rint(np.column_stack([x, height - y]) - 0.5).astype(np.int64)
+    return np.asarray(np.rint(np.column_stack([x, height - y]) - 0.5), dtype=np.int64)
 
 
 def _find_mean_change(moved: float) -> float:

@@ -185,7 +185,7 @@ def _begin_session(served: ServedPage) -> str:
     """A session as a page that is opened gets it."""
     host = f"localhost:{served.port}"
     _, text = _ask(served.port, "GET", f"/?token={served.token}", {"Host": host})
-    return re.findall(r'"token":"([^"]+)"', text)[0]
+    return str(re.findall(r'"token":"([^"]+)"', text)[0])
 
 
 N_KILLS, N_CLOSED = 20, 30
