@@ -151,7 +151,7 @@ accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay 
 accept-trust: setup ## measure the table of numbers that hold or are nan where something is off: lines (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables trust $(CHECK)
 
-accept-newcomer: setup ## measure the table of a new user's day: verdicts, the environment (CHECK=NAME: one check)
+accept-newcomer: setup ## measure the table of a new user's day: verdicts, pages in the browser, the environment (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables newcomer $(CHECK)
 
 trials: setup ## try bad inputs and damaged files (ARGS="--sample 40": some; ARGS=mesh.file: those of a name)

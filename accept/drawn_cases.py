@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import ndiff
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from playwright.sync_api import Browser
 
 from accept.support.browser import Point, ServedPage, Tab, opened_browser, wait_until
 from accept.support.ended_job import DDIC
@@ -22,6 +22,9 @@ from bench.support.rows import Row
 from bench.support.runs import environment, images, real_data
 from ddic.io.result_reader import read_result
 from ddic.io.series_reader import read_series
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 CASE, HAND, SERIES = "drawn.toml", "by_hand.toml", "series.toml"
 

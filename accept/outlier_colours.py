@@ -196,7 +196,7 @@ def _find_pixels(axes: Axes, points: Array, height: int) -> NDArray[np.int64]:
     figure = axes.get_figure()
     assert figure is not None
     x, y = (axes.transData.transform(points) * DPI / figure.dpi).T
-    return np.asarray(np.rint(np.column_stack([x, height - y]) - 0.5), np.int64)
+    return np.asarray(np.rint(np.column_stack([x, height - y]) - 0.5), dtype=np.int64)
 
 
 def _find_mean_change(moved: float) -> float:

@@ -6,13 +6,15 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-
-from playwright.sync_api import Browser, TimeoutError
+from typing import TYPE_CHECKING
 
 from accept.drawn_cases import ELEMENT_SIZE, POINTS, PROBES, draw_plate
-from accept.support.browser import Point, ServedPage, Tab, opened_browser, wait_until
+from accept.support.browser import NotSeenError, Point, ServedPage, Tab, opened_browser, wait_until
 from accept.table import Scale
 from bench.support.rows import Row
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 CASE = "mistaken.toml"
 
@@ -69,7 +71,8 @@ def measure_wrong_inputs(scale: Scale) -> list[Row]:
     with opened_browser() as browser, ServedPage("draw", "images/reference.tif", CASE, folder=folder) as served:
         untold = [mistake.name for mistake in mistakes if not _is_told(browser, served, mistake)]
         unserved = [] if _is_served(browser, served) else ["after the last one no page was served"]
-        taken = [box for box in (ELEMENT_SIZE, WAVELENGTH) if _takes_letters(Tab(browser, served.address), box)]
+        boxes = (ELEMENT_SIZE,) if scale.smoke else (ELEMENT_SIZE, WAVELENGTH)
+        taken = [box for box in boxes if _takes_letters(Tab(browser, served.address), box)]
         n_faults = served.read_errors().count("Traceback")
     faults = "; ".join(untold + unserved) or "none"
     return [Row(f"{len(mistakes)} wrong inputs at the page of ddic draw: shapes clicked, points, numbers, texts typed",
@@ -86,7 +89,7 @@ def _is_served(browser: Browser, served: ServedPage) -> bool:
         tab = Tab(browser, served.address)
         tab.find_text(READY)
         tab.close()
-    except TimeoutError:
+    except NotSeenError:
         return False
     return True
 
@@ -98,7 +101,7 @@ def _is_told(browser: Browser, served: ServedPage, mistake: Mistake) -> bool:
     try:
         mistake.make(tab)
         wait_until(lambda: mistake.key in tab.read_problem(), mistake.name, TOLD_S)
-    except TimeoutError:
+    except NotSeenError:
         return False
     finally:
         tab.close()

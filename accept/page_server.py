@@ -15,20 +15,23 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import psutil
-from playwright.sync_api import Browser
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from accept.drawn_cases import draw_plate
 from accept.page_mistakes import CASE, TEXT
-from accept.support.browser import ServedPage, Tab, opened_browser, wait_until
+from accept.support.browser import NotSeenError, ServedPage, Tab, opened_browser, wait_until
 from accept.support.ended_job import list_hidden
 from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import images
 from ddic.io.result_reader import read_result
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 EVIL = "http://evil.example"
 """Another site that the browser has open."""
@@ -400,6 +403,6 @@ def _interrupt(browser: Browser, folder: Path) -> Row:
 def _has_come(what: Callable[[], bool]) -> bool:
     try:
         wait_until(what, "the end", GONE_S)
-    except Exception:
+    except NotSeenError:
         return False
     return True

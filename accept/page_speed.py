@@ -9,8 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-
-from playwright.sync_api import Browser
+from typing import TYPE_CHECKING
 
 from accept.drawn_cases import draw_plate
 from accept.series_runs import ELEMENT, FAST
@@ -22,6 +21,9 @@ from bench.support.paper_case import HEIGHT, WIDTH, full
 from bench.support.rows import Row, append_result
 from bench.support.runs import DATA, ddic_run, images
 from ddic.io.series_reader import read_series
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 RUNS = "page_speed"
 

@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import re
-import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -25,16 +24,14 @@ from PIL import Image
 from scipy.ndimage import uniform_filter
 
 from accept.real_images import case_text
+from accept.support.browser import require_browser
 from accept.table import Scale
 from bench.support.rows import Row
-from bench.support.runs import NotHereError, ddic, ddic_run, images
+from bench.support.runs import ddic, ddic_run, images
 from ddic.io.result_reader import read_result
 from ddic.plots.canvas import POINTS_AN_INCH
 from ddic.report.items import find_worst_places, gather_all
 from ddic.report.page import DPI, draw_report_figures
-
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "chrome-headless-shell")
-"""Of Chromium and its kin."""
 
 SECONDS = 120
 """Within which the browser has to be done."""
@@ -107,11 +104,6 @@ class ShownPage:
     overflowing: list[str]
     requests: list[str]
     screenshot: Path
-
-
-def find_browser() -> str | None:
-    """Find a browser that runs without a screen."""
-    return next((path for name in NAMES if (path := shutil.which(name)) is not None), None)
 
 
 def show_page(browser: str, page: Path, screenshot: Path) -> ShownPage:
@@ -210,9 +202,7 @@ subdomains = 4
 
 def measure_report(scale: Scale) -> list[Row]:
     """Write the report on a measurement, open it in a headless browser, and look at what it shows."""
-    browser = find_browser()
-    if browser is None:
-        raise NotHereError("no Chromium is installed (Debian: apt-get install --no-install-recommends chromium)")
+    browser = require_browser()
     folder = scale.folder("practice") / "report"
     folder.mkdir(parents=True, exist_ok=True)
     ddic_run(_write_case(scale, folder), folder, 2, "measured")

@@ -11,16 +11,18 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import psutil
-from playwright.sync_api import Browser, Page, TimeoutError, sync_playwright
 
 from accept.support.ended_job import DDIC
 from bench.support.runs import NotHereError, environment
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
-"""Of the browser."""
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "chrome-headless-shell")
+"""Of Chromium and its kin."""
 
 LONGEST_S = 60.0
 """Seconds in which what is waited for must have come."""
@@ -33,6 +35,23 @@ BETWEEN_CLICKS_S = 0.4
 SCREEN = {"width": 1800, "height": 1500}
 
 Point = tuple[float, float]
+
+
+class NotSeenError(RuntimeError):
+    """What was waited for has not come."""
+
+
+def find_browser() -> str | None:
+    """Find a browser that runs without a screen."""
+    return next((path for name in NAMES if (path := shutil.which(name)) is not None), None)
+
+
+def require_browser() -> str:
+    """Find a browser; raises NotHereError where there is none."""
+    browser = find_browser()
+    if browser is None:
+        raise NotHereError("no Chromium is installed (Debian: apt-get install --no-install-recommends chromium)")
+    return browser
 
 
 class ServedPage:
@@ -83,10 +102,12 @@ class ServedPage:
 
 @contextmanager
 def opened_browser() -> Iterator[Browser]:
-    """Start the browser of this machine, without a window; raises NotHereError where there is none."""
-    program = next(filter(None, map(shutil.which, NAMES)), None)
-    if program is None:
-        raise NotHereError(f"no browser ({', '.join(NAMES)})")
+    """Start the browser of this machine, without a window; raises NotHereError where it cannot be driven."""
+    program = require_browser()
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise NotHereError("no playwright is installed, which drives the browser (pip install playwright)") from error
     with sync_playwright() as playwright:
         # The browser refuses to confine itself where it is root.
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
@@ -95,18 +116,18 @@ def opened_browser() -> Iterator[Browser]:
 
 
 def wait_until(has_come: Callable[[], bool], what: str, longest: float = LONGEST_S) -> None:
-    """Wait until something has come; raises TimeoutError, that of the browser's driver, where it does not."""
+    """Wait until something has come; raises NotSeenError where it does not."""
     end = time.monotonic() + longest
     while not has_come():
         if time.monotonic() > end:
-            raise TimeoutError(f"{what}: not within {longest:g} s")
+            raise NotSeenError(f"{what}: not within {longest:g} s")
         time.sleep(POLL_S)
 
 
 IS_DRAWN = """name => {
-    const document = window.Bokeh && Bokeh.documents[0];
-    const figure = document && document.get_model_by_name(name);
-    if (!figure || !Bokeh.index.find_one(figure) || !document.is_idle) return false;
+    const page = window.Bokeh && Bokeh.documents[0];
+    const figure = page && page.get_model_by_name(name);
+    if (!figure || !Bokeh.index.find_one(figure) || !page.is_idle) return false;
     return figure.renderers.some(drawn => (drawn.data_source.data.image || []).length > 0);
 }"""
 """Whether a figure has its image."""
@@ -164,7 +185,7 @@ class Tab:
 
     def wait_for_image(self) -> None:
         """Wait until the figure has its image."""
-        self.page.wait_for_function(IS_DRAWN, arg=self.figure, timeout=1000 * LONGEST_S)
+        wait_until(lambda: bool(self.page.evaluate(IS_DRAWN, self.figure)), f"the image of {self.figure}")
 
     # What is done.
 
@@ -212,7 +233,6 @@ class Tab:
         """Draw a shape or a probe; wait until the text that it is written into has changed."""
         before = self.read(into)
         self.choose("Draw", kind)
-        time.sleep(BETWEEN_CLICKS_S)
         self.click(points)
         if finish:
             self.press("Finish")

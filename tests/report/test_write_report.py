@@ -16,12 +16,12 @@ from click.testing import CliRunner
 import ddic
 from accept.report_page import (
     LEAST_LIKENESS,
-    find_browser,
     find_clipped_texts,
     find_smallest_type,
     probe_page,
     show_page,
 )
+from accept.support.browser import find_browser
 from ddic.case.schema import AcquisitionSection
 from ddic.cli.info import report
 from ddic.errors import ConvergenceError
