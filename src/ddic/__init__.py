@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
+    from ddic.mesh.unstructured import build_unstructured_mesh as unstructured_mesh
     from ddic.probes.metrology import Metrology, estimate_metrology
     from ddic.probes.probes import (
         Extensometer,
@@ -61,6 +62,7 @@ _PUBLIC = {
     "kinematics.nodal": ("NodalRegion",),
     "mesh.mesh": ("Mesh",),
     "mesh.structured": ("structured_mesh",),
+    "mesh.unstructured": ("unstructured_mesh",),
     "probes.metrology": ("Metrology", "estimate_metrology"),
     "probes.probes": ("Extensometer", "LineProbe", "PointProbe", "Reading", "StrainGauge", "load_probes",
                       "measure_probe"),
@@ -72,7 +74,8 @@ _PUBLIC = {
 
 _HOMES = {name: home for home, names in _PUBLIC.items() for name in names}
 
-_NAMED_THERE = {"open": "read_result", "open_series": "read_series", "structured_mesh": "build_structured_mesh"}
+_NAMED_THERE = {"open": "read_result", "open_series": "read_series", "structured_mesh": "build_structured_mesh",
+                "unstructured_mesh": "build_unstructured_mesh"}
 """What names are called at home, where they differ."""
 
 __all__ = [
@@ -121,6 +124,7 @@ __all__ = [
     "open_series",
     "prepare",
     "structured_mesh",
+    "unstructured_mesh",
     "write_field_tables",
     "write_probe_table",
     "write_report",

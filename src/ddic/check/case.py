@@ -475,7 +475,7 @@ def describe_inputs(case: Case, reference: ImageSource, checked: CheckedMesh, no
         n_cells=mesh.n_cells,
         n_dofs=mesh.dim * n_unknown_nodes,
         cell_counts={CELL_TYPES[int(t)].name: int(n) for t, n in zip(types, n_of_type, strict=True)},
-        node_sets={name: len(nodes) for name, nodes in mesh.node_sets.items()},
+        node_sets={name: len(nodes) for name, nodes in mesh.node_sets.items() if len(nodes)},
         pixels_min=int(checked.pixel_counts.min()),
         pixels_mean=float(checked.pixel_counts.mean()),
         n_controlled_dofs=mesh.dim * n_controlled_nodes,

@@ -36,6 +36,7 @@ COMMANDS = {
     "new": "Write a case file to start from, for a pair of images or a series.",
     "run": "Measure the displacement between two images.",
     "check": "Validate all inputs of a case file without solving.",
+    "mesh": "Write the mesh of a case file, with its node sets.",
     "synth": "Make image pairs with a known displacement.",
     "info": "Describe a result file or an image.",
     "plot": "Draw the pictures of a result file.",
