@@ -37,7 +37,7 @@ def set_resolution(case: Case, element_size: float | None, wavelength: float) ->
 
 
 def list_element_sizes(case: Case) -> list[float | None]:
-    """List element sizes about that of a case, pixels, its own first; None alone where they are not [mesh.structured]'s."""
+    """List element sizes about that of a case, pixels, its own first; None alone without [mesh.structured]."""
     if case.mesh.structured is None:
         return [None]
     own = case.mesh.structured.element_size

@@ -193,13 +193,14 @@ class MeshedSection(Section):
         if region.center is not None and region.radius is not None:
             (x, y), r = region.center, region.radius
             return x - r, y - r, x + r, y + r
-        x, y = zip(*(region.vertices or ()), strict=True)
-        return min(x), min(y), max(x), max(y)
+        columns, rows = zip(*(region.vertices or ()), strict=True)
+        return min(columns), min(rows), max(columns), max(rows)
 
     def _list_contradictions(self) -> Iterator[str]:
         x0, y0, x1, y1 = self.box
         if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
-            yield "region = [x0, y0, x1, y1] must hold at least one element of element_size"
+            yield (f"region must hold at least one element of element_size: its box is {x1 - x0:g} x {y1 - y0:g} px; "
+                   "give x0 < x1 and y0 < y1, or smaller elements")
 
 
 class StructuredSection(MeshedSection):
@@ -221,7 +222,7 @@ class UnstructuredSection(MeshedSection):
     """A mesh that gmsh makes, pixels."""
 
     cell: Literal["T3", "Q4"] = "T3"
-    """Triangles, or quadrilaterals with a few triangles."""
+    """Triangles or quadrilaterals."""
 
 
 class MappingSection(Section):

@@ -35,8 +35,9 @@ def read_mesh(path: Path, mapping: Similarity) -> Mesh:
     """Read a mesh of T3 and Q4 (mixed or not) and map it to pixels; cells keep the file's order.
 
     Node sets come from the named groups of lines and vertices (Gmsh physical groups, meshio cell sets), from point
-    sets, and from fields that ``write_mesh`` wrote. ``mapping`` leads from the file's units to pixels. The mesh is as it is in the file: not yet repaired. Raises
-    InputError where the file cannot be read, holds other cells, or is not plane.
+    sets, and from the fields that ``write_mesh`` writes. ``mapping`` leads from the file's units to pixels. The mesh is
+    as it is in the file: not yet repaired. Raises InputError where the file cannot be read, holds other cells, or is
+    not plane.
     """
     return convert_mesh(_read_raw(path), str(path), mapping)
 
@@ -148,6 +149,9 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
 
     require_written_format(path)
     file_format = WRITTEN_FORMATS[path.suffix.lower()]
+    odd = [name for name in mesh.node_sets if file_format == "abaqus" and set(name) & set(",=\n")]
+    if odd:
+        raise InputError(f'{path}: this format cannot name the node set "{odd[0]}"; write a .vtu file')
     ends = [*np.flatnonzero(np.diff(mesh.types)) + 1, mesh.n_cells]
     blocks = []
     for start, end in zip([0, *ends], ends, strict=False):

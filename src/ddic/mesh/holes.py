@@ -50,8 +50,9 @@ class Circle:
 
     def list_points(self, step: float) -> Array:
         """List points of the outline, (n, 2), each at most a step from the next, pixels."""
-        angles = np.linspace(0, 2 * np.pi, 4 + int(2 * np.pi * self.radius / step), endpoint=False)
-        return np.array(self.center) + self.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        # Its leftmost, topmost... points among them.
+        angles = np.linspace(0, 2 * np.pi, 4 * int(2 + self.radius / step * np.pi / 2), endpoint=False)
+        return np.asarray(np.array(self.center) + self.radius * np.column_stack([np.cos(angles), np.sin(angles)]))
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the circle, pixels, negative inside."""
@@ -212,8 +213,8 @@ def require_inside(holes: Sequence[Circle | Polygon], region: Circle | Polygon, 
     """Refuse, by an InputError, holes that leave the region, looked at every ``step`` pixels along their outlines."""
     for number, hole in enumerate(holes):
         if (region.measure_distance(hole.list_points(step)) >= 0).any():
-            raise InputError(f"{name}: hole_{number} leaves the region; move it inside, or draw the notch that it makes "
-                             f"as part of the polygon {name}.region")
+            raise InputError(f"{name}: hole_{number} leaves the region; move it inside, or draw its notch as part of "
+                             f"{name}.region, a polygon")
 
 
 def find_mask_holes(mask: BoolArray, region: Sequence[float], element_size: float) -> list[OutlinedHole]:

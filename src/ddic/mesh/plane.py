@@ -144,18 +144,20 @@ def is_simple_polygon(vertices: Array) -> bool:
     """Tell whether sides of a closed polygon, (n, 2), no vertex twice in a row, meet at their common vertex only."""
     starts, ends = vertices, np.roll(vertices, -1, axis=0)
     sides = ends - starts
-    turns, onwards = multiply_across(sides, np.roll(sides, -1, axis=0)), (sides * np.roll(sides, -1, axis=0)).sum(axis=1)
-    if ((turns == 0) & (onwards < 0)).any():
+    following = np.roll(sides, -1, axis=0)
+    runs_back = (multiply_across(sides, following) == 0) & ((sides * following).sum(axis=1) < 0)
+    if runs_back.any():
         return False
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
     for k in range(len(vertices) - 2):
-        # Not the neighbours, of which the first side has the last for one.
+        # Later sides but the neighbours; the last one is a neighbour of the first.
         others = slice(k + 2, len(vertices) - (k == 0))
-        ends_part = (multiply_across(sides[k], starts[others] - starts[k])
-                     * multiply_across(sides[k], ends[others] - starts[k]) <= 0)
+        # Their ends lie on both sides of this one or on it, and the other way round.
+        parts = (multiply_across(sides[k], starts[others] - starts[k])
+                 * multiply_across(sides[k], ends[others] - starts[k]) <= 0)
         is_parted = (multiply_across(sides[others], starts[k] - starts[others])
                      * multiply_across(sides[others], ends[k] - starts[others]) <= 0)
         is_near = ((low[others] <= high[k]) & (high[others] >= low[k])).all(axis=1)
-        if (ends_part & is_parted & is_near).any():
+        if (parts & is_parted & is_near).any():
             return False
     return True

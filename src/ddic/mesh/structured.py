@@ -1,8 +1,7 @@
 """Regular meshes of a region, with holes and masks, along whose outlines the staircase of cells is rounded."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -14,9 +13,8 @@ from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import (
-    Circle,
-    OutlinedHole,
     Outline,
+    OutlinedHole,
     RegionLike,
     build_outside,
     convert_holes,
@@ -25,7 +23,7 @@ from ddic.mesh.holes import (
 )
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.quality import measure_shape_quality
-from ddic.mesh.topology import find_boundary_facets, name_boundary
+from ddic.mesh.topology import find_boundary_facets, find_boundary_sets
 
 SMALLEST_SINE = 0.2
 """Sine of the sharpest or flattest corner (12 or 168 degrees) that moving a node may cause. A larger value keeps better
@@ -72,11 +70,12 @@ def chop_corners(quads: IntArray, members: Sequence[IntArray], nodes: Array,
 
 
 def _find_nearest_nodes(hole: Outline, member: IntArray, nodes: Array) -> IntArray:
-    """The nearest of some nodes to each corner of a hole."""
+    """The nearest of some nodes to each corner of a hole in the box of all nodes."""
     if not isinstance(hole, OutlinedHole) or not len(member):
         return np.zeros(0, np.int64)
-    away = np.linalg.norm(nodes[member, None] - hole.corners, axis=2)
-    return member[away.argmin(axis=0)]
+    corners = hole.corners[_is_between_sides(hole.corners, [*nodes.min(axis=0), *nodes.max(axis=0)])]
+    nearest = np.linalg.norm(nodes[member, None] - corners, axis=2).argmin(axis=0)
+    return np.asarray(member[nearest])
 
 
 def find_targets(mesh: Mesh, members: Sequence[IntArray], holes: Sequence[Outline], box: Sequence[float]) -> Array:
@@ -188,8 +187,8 @@ MOST_CELLS = 1e9
 """Cells of a mesh: more than any image has pixels, and fewer than overflow a count."""
 
 SMALLEST_PIECE = 0.05
-"""Share of a region's cells from which on a piece that no side joins to the rest is refused; smaller ones, at tips, are
-left out. A larger value may lose what was to be measured."""
+"""Share of a region's cells above which a piece of several that no side joins to the rest is refused; smaller ones, at
+tips, are left out. A larger value may lose what was to be measured."""
 
 
 def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal["Q4", "T3"] = "Q4",
@@ -199,8 +198,8 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
     """Mesh a region by regular cells.
 
     A cell is removed if its centre lies in a hole, then the nodes around the hole are moved onto its outline; where the
-    hole meets a cell at a corner, that corner is cut off, so that a Q4 mesh with holes holds some T3. Around a circle or
-    a polygon all is a hole.
+    hole meets a cell at a corner, that corner is cut off, so that a Q4 mesh with holes holds some T3. All around a
+    circle or a polygon is a hole too.
 
     Parameters
     ----------
@@ -234,90 +233,28 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
     refuse_impossible(box, element_size, cell, NAME)
     if mask is not None and np.ndim(mask) != 2:
         raise InputError(f"{NAME}: a mask of shape {np.shape(mask)}, (height, width) expected")
-    grid = build_grid_lines(box, element_size)
+    grid, around = build_grid_lines(box, element_size), []
     declared = convert_holes(circles, [hole for hole in polygons if not isinstance(hole, OutlinedHole)], NAME)
-    around = []
+    outlined = [hole for hole in polygons if isinstance(hole, OutlinedHole)]
     if outline is not None:
         require_inside(declared, outline, element_size / 4, NAME)
         grid, around = grid.pad(), [build_outside(outline, element_size)]
-    cut = _Cut(grid, declared, [hole for hole in polygons if isinstance(hole, OutlinedHole)], around, mask)
-    mesh = cut.build_mesh(cell)
+    in_declared = [_cells_in_hole(grid, hole, k) for k, hole in enumerate(declared)]
+    by_outline = [_cells_in_hole(grid, hole, k) for k, hole in enumerate(outlined)]
+    outside = [_cells_outside(grid, hole) for hole in around]
+    in_holes = [*in_declared, *by_outline, *outside]
+    kept = _kept_cells(grid, in_holes, mask)
+    members = _find_members(grid, in_holes, kept)
+    mesh = _cut_cells(grid, kept, [*declared, *outlined, *around], members, cell, splits_flat=bool(around))
+    sets = grid.sides
+    if not kept.all():
+        by_mask = ~np.logical_or.reduce([kept, *in_declared, *outside])
+        inner = [*members[:len(declared)], *_list_mask_holes(grid, kept, by_mask)]
+        has_its_sides = mask is None and not (outlined or around)
+        sets = _name_boundary(mesh, grid, kept, inner) | (sets if has_its_sides else {})
     # Without the nodes that no cell uses any more, and the sets that this leaves empty.
-    mesh = replace(mesh, node_sets=cut.name_sets(mesh)).create_submesh(np.arange(mesh.n_cells))[0]
+    mesh = replace(mesh, node_sets=sets).create_submesh(np.arange(mesh.n_cells))[0]
     return replace(mesh, node_sets={name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)})
-
-
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """What is cut out of a grid.
-
-    Attributes
-    ----------
-    grid : GridLines
-        With a ring of cells more than the region's box where that is cut out.
-    declared : list of Outline
-        Holes that were asked for.
-    outlined, around : list of OutlinedHole
-        What a mask draws; what lies around a region that is no box, one or none.
-    mask : (height, width) bool array or None
-        True where cells may be.
-    """
-
-    grid: GridLines
-    declared: Sequence[Outline]
-    outlined: Sequence[OutlinedHole]
-    around: Sequence[OutlinedHole]
-    mask: BoolArray | None
-
-    @property
-    def holes(self) -> list[Outline]:
-        return [*self.declared, *self.outlined, *self.around]
-
-    @cached_property
-    def in_holes(self) -> list[BoolArray]:
-        """Cells that each hole removes, (n_cells,)."""
-        inner = [_cells_in_hole(self.grid, hole, k) for k, hole in enumerate([*self.declared, *self.outlined])]
-        return inner + [_cells_outside(self.grid, outside) for outside in self.around]
-
-    @cached_property
-    def kept(self) -> BoolArray:
-        """Cells that nothing removes, (n_cells,)."""
-        return _kept_cells(self.grid, self.in_holes, self.mask)
-
-    @cached_property
-    def members(self) -> list[IntArray]:
-        """Nodes that each hole's cells share with those that are kept."""
-        return _find_members(self.grid, self.in_holes, self.kept)
-
-    def build_mesh(self, cell: str) -> Mesh:
-        """Build the mesh of the cells that are kept, nodes on the outlines, with all nodes of the grid."""
-        grid, holes, members = self.grid, self.holes, self.members
-        quads, triangles = chop_corners(grid.quads[self.kept], members, grid.nodes, holes)
-        if not holes:
-            return _build_cells(grid, quads, triangles, cell)
-        if self.around:
-            target = find_targets(_build_cells(grid, quads, triangles, "Q4"), members, holes, grid.box)
-            mesh = _build_cells(grid, quads, triangles, cell, target)
-        else:
-            # After the split, so that the cells whose shape is watched are those of the mesh.
-            mesh = _build_cells(grid, quads, triangles, cell)
-            target = find_targets(mesh, members, holes, grid.box)
-        return replace(mesh, nodes=_move_carefully(mesh, target))
-
-    def name_sets(self, mesh: Mesh) -> dict[str, IntArray]:
-        """Name the nodes of the mesh's boundary; of a box its sides, as far as only holes that were asked for cut it."""
-        grid, kept = self.grid, self.kept
-        sides = {} if self.outlined or self.around or self.mask is not None else grid.sides
-        if kept.all():
-            return grid.sides
-        of_holes = [*self.members[:len(self.declared)], *_list_mask_holes(grid, kept, self._by_mask)]
-        return _name_boundary(mesh, grid, kept, of_holes) | sides
-
-    @property
-    def _by_mask(self) -> BoolArray:
-        """Cells that are left out for a mask alone, (n_cells,)."""
-        others = [*self.in_holes[:len(self.declared)], *self.in_holes[len(self.declared) + len(self.outlined):]]
-        return ~np.logical_or.reduce([self.kept, *others])
 
 
 def refuse_impossible(box: Sequence[float], element_size: float, cell: str, name: str) -> None:
@@ -402,6 +339,22 @@ def _find_members(grid: GridLines, in_holes: Sequence[BoolArray], kept: BoolArra
     return [np.intersect1d(quads[kept], quads[inside]) for inside in in_holes]
 
 
+def _cut_cells(grid: GridLines, kept: BoolArray, holes: Sequence[Outline], members: Sequence[IntArray], cell: str,
+               *, splits_flat: bool) -> Mesh:
+    """The mesh of the cells that are kept, with all nodes of the grid, those around holes on the outlines."""
+    quads, triangles = chop_corners(grid.quads[kept], members, grid.nodes, holes)
+    if not holes:
+        return _build_cells(grid, quads, triangles, cell)
+    if splits_flat:
+        target = find_targets(_build_cells(grid, quads, triangles, "Q4"), members, holes, grid.box)
+        mesh = _build_cells(grid, quads, triangles, cell, target)
+    else:
+        # After the split, so that the cells whose shape is watched are those of the mesh.
+        mesh = _build_cells(grid, quads, triangles, cell)
+        target = find_targets(mesh, members, holes, grid.box)
+    return replace(mesh, nodes=_move_carefully(mesh, target))
+
+
 def _cells_outside(grid: GridLines, outside: OutlinedHole) -> BoolArray:
     """Cells to remove around a region: those whose centres lie outside, and those that hang on the rest by no side.
 
@@ -427,40 +380,37 @@ def _keep_largest_piece(inside: BoolArray, grid: GridLines) -> BoolArray:
     n_cells = np.append(sizes[1:, cv2.CC_STAT_AREA], 0)
     if n_cells.max() == 0:
         raise InputError(f"{NAME}.region: holds no element: it is too narrow for element_size; use smaller elements")
-    if np.sort(n_cells)[-2] > SMALLEST_PIECE * inside.sum():
+    if np.sort(n_cells)[-2] > max(1, SMALLEST_PIECE * inside.sum()):
         raise InputError(f"{NAME}.region: falls into {(n_cells > 0).sum()} pieces where it is narrower than "
                          "element_size; use smaller elements")
     return np.asarray(labels.ravel() == 1 + n_cells.argmax())
 
 
 def _list_mask_holes(grid: GridLines, kept: BoolArray, by_mask: BoolArray) -> list[IntArray]:
-    """For each hole that a mask makes inside, from top to bottom, the nodes that its cells share with those kept.
+    """Nodes of the cells of each hole that a mask makes inside, from top to bottom.
 
     ``by_mask`` are the cells that are left out for the mask alone.
     """
-    around = np.pad(~kept.reshape(len(grid.y) - 1, -1), 1, constant_values=True)
-    labels = cv2.connectedComponents(around.astype(np.uint8), connectivity=8)[1]
-    of_cells = labels[1:-1, 1:-1].ravel()
-    cells = np.flatnonzero(by_mask & (of_cells != labels[0, 0]))
-    cells = cells[np.argsort(of_cells[cells], kind="stable")]
-    pieces = np.split(cells, np.flatnonzero(np.diff(of_cells[cells])) + 1) if len(cells) else []
-    quads = grid.quads
-    is_used = np.zeros(grid.n_nodes, dtype=bool)
-    is_used[quads[kept]] = True
-    found = [np.unique(quads[piece]) for piece in sorted(pieces, key=lambda piece: piece[0])]
-    return [nodes[is_used[nodes]] for nodes in found]
+    cut_out = np.pad(~kept.reshape(len(grid.y) - 1, -1), 1, constant_values=True).astype(np.uint8)
+    labels = cv2.connectedComponents(cut_out, connectivity=8)[1]
+    outer, of_cells = labels[0, 0], labels[1:-1, 1:-1].ravel()
+    inside = by_mask & (of_cells != outer)
+    quads, of_quads = grid.quads[inside], of_cells[inside]
+    return [np.unique(quads[of_quads == number]) for number in dict.fromkeys(of_quads.tolist())]
 
 
 def _name_boundary(mesh: Mesh, grid: GridLines, kept: BoolArray, of_holes: Sequence[IntArray]) -> dict[str, IntArray]:
     """Name the nodes of the boundary; only the cells about it are looked at."""
-    is_at_edge = np.zeros(mesh.n_nodes, dtype=bool)
-    is_at_edge[np.intersect1d(grid.quads[kept], grid.quads[~kept])] = True
+    quads = grid.quads
+    is_used, is_at_edge = np.zeros((2, grid.n_nodes), dtype=bool)
+    is_used[quads[kept]] = True
+    is_at_edge[quads[~kept]] = True
     for side in grid.sides.values():
         is_at_edge[side] = True
-    about, node_ids = mesh.create_submesh(mesh.find_cells_around(is_at_edge))
+    about, node_ids = mesh.create_submesh(mesh.find_cells_around(is_used & is_at_edge))
     facets = node_ids[find_boundary_facets(about)]
     # Other facets at the edge of these cells lie inside.
-    return name_boundary(mesh.nodes, facets[is_at_edge[facets].all(axis=1)], of_holes)
+    return find_boundary_sets(mesh.nodes, facets[is_at_edge[facets].all(axis=1)], of_holes)
 
 
 def _build_cells(grid: GridLines, quads: IntArray, triangles: IntArray, cell: str, target: Array | None = None) -> Mesh:

@@ -12,7 +12,6 @@ from ddic.errors import InputError
 from ddic.mesh.cell_parts import find_offsets
 from ddic.mesh.mesh import Mesh
 
-
 SLACK = 1e-6
 """Share by which the normal of a facet of left or right may point more up or down than sideways: rounding."""
 
@@ -62,7 +61,7 @@ def find_boundary_nodes(mesh: Mesh) -> IntArray:
     return nodes[nodes >= 0]
 
 
-def name_boundary(nodes: Array, facets: IntArray, holes: Sequence[IntArray]) -> dict[str, IntArray]:
+def find_boundary_sets(nodes: Array, facets: IntArray, holes: Sequence[IntArray]) -> dict[str, IntArray]:
     """Name the nodes of a plane mesh's boundary facets, (n, 2), which run as their cells do, positively.
 
     A facet is in the set hole_k of the first of ``holes`` that holds both of its nodes, else in left, right, top or

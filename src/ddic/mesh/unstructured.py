@@ -14,7 +14,7 @@ from ddic.mesh.holes import Circle, Polygon, RegionLike, convert_holes, convert_
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.repair import repair
 from ddic.mesh.structured import refuse_impossible
-from ddic.mesh.topology import find_boundary_facets, name_boundary
+from ddic.mesh.topology import find_boundary_facets, find_boundary_sets
 
 NAME = "mesh.unstructured"
 """What messages call the mesh."""
@@ -24,8 +24,8 @@ ON_OUTLINE = 1e-6
 
 CELLS = {"T3": {"Mesh.Algorithm": 6, "Mesh.RecombineAll": 0},
          "Q4": {"Mesh.Algorithm": 8, "Mesh.RecombineAll": 1, "Mesh.RecombinationAlgorithm": 2}}
-"""gmsh's options for each type of cell: frontal Delaunay; the same for quadrilaterals, joined, halved and smoothed, which
-leaves no triangle and keeps corners away from 0 and 180 degrees."""
+"""gmsh's options for each type of cell: frontal Delaunay; the same for quadrilaterals, joined, subdivided and smoothed,
+which leaves no triangle and keeps corners away from 0 and 180 degrees."""
 
 OF_GMSH = {2: T3, 3: Q4}
 """Cell types by gmsh's numbers."""
@@ -73,7 +73,7 @@ def build_unstructured_mesh(region: RegionLike, element_size: float, cell: Liter
             gmsh.option.setNumber(name, value)
         mesh = _generate(gmsh.model, outline, holes)
     on_holes = [np.flatnonzero(np.abs(hole.measure_distance(mesh.nodes)) < ON_OUTLINE) for hole in holes]
-    return replace(mesh, node_sets=name_boundary(mesh.nodes, find_boundary_facets(mesh), on_holes))
+    return replace(mesh, node_sets=find_boundary_sets(mesh.nodes, find_boundary_facets(mesh), on_holes))
 
 
 @contextmanager
@@ -83,8 +83,8 @@ def _started_gmsh() -> Iterator[Any]:
         import gmsh
     # A library of the system that gmsh needs may be missing.
     except (ImportError, OSError) as error:
-        raise InputError(f'{NAME}: gmsh makes this mesh and cannot be imported ({error}); install it by pip install '
-                         '"ddic[gmsh]", or use [mesh.structured]') from error
+        raise InputError(f"{NAME}: gmsh makes this mesh and cannot be imported ({error}); install it (pip install "
+                         "gmsh, or ddic with its extra: ddic[gmsh]), or use [mesh.structured]") from error
     if gmsh.isInitialized():
         raise InputError(f"{NAME}: gmsh is in use in this process; call gmsh.finalize() first")
     gmsh.initialize([], readConfigFiles=False, interruptible=False)
@@ -95,7 +95,8 @@ def _started_gmsh() -> Iterator[Any]:
         raise
     # gmsh raises nothing more special.
     except Exception as error:
-        raise InputError(f"{NAME}: gmsh cannot mesh the region ({error}); simplify its outline, or use other "
+        reason = " ".join(str(error).split())
+        raise InputError(f"{NAME}: gmsh cannot mesh the region ({reason}); simplify its outline, or use other "
                          "elements") from error
     finally:
         gmsh.finalize()
