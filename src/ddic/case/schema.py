@@ -27,7 +27,7 @@ def _is_list(value: object) -> str:
 
 
 def _is_table(value: object) -> str:
-    """The same where the one is a section and the several a list of numbers, which is what anything else should be."""
+    """Which of a section and a list is meant; what is neither is told to be no list."""
     return "one" if isinstance(value, Mapping | BaseModel) else "several"
 
 

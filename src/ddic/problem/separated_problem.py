@@ -89,7 +89,8 @@ def build_rectangle(case: Case) -> Rectangle:
     """
     section = case.mesh.structured
     if section is None:
-        raise InputError("mesh: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
+        key = "mesh.file" if case.mesh.unstructured is None else "mesh.unstructured"
+        raise InputError(f"{key}: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
     if isinstance(section.region, RegionSection):
         raise InputError("mesh.structured.region: [pgd] measures whole rectangles; give [x0, y0, x1, y1]")
     if section.cell != "Q4":
