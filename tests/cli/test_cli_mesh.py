@@ -6,6 +6,7 @@ import os
 import sys
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -75,9 +76,11 @@ def test_the_mesh_is_read_back_the_same(folder: Path, kind: str, suffix: str) ->
     ("plate.msh", "node sets would be lost; give a name that ends in .vtu or .inp"),
     ("none/plate.vtu", "does not exist"), ("linked.inp", "would overwrite the input"),
     ("other.vtu", "is there already, and no mesh that ddic wrote"),
+    ("of_meshio.vtu", "is there already, and no mesh that ddic wrote"),
 ])
 def test_bad_outputs_are_refused_in_a_line(folder: Path, name: str, words: str) -> None:
     (folder / "other.vtu").write_text("my own")
+    meshio.Mesh(np.eye(3), [("triangle", [[0, 1, 2]])]).write(folder / "of_meshio.vtu")
     os.link(folder / "given.inp", folder / "linked.inp")
     before = {path: path.read_bytes() for path in folder.iterdir()}
     done = call("mesh", write(folder, KINDS["file with a mapping"]), "-o", folder / name)

@@ -27,8 +27,9 @@ NAMING_CELLS = {"vertex": 0, "line": 1}
 NODE_SET = "node set: "
 """Begins the name of a field on the nodes that is 1 in a node set and 0 elsewhere: VTU knows no sets."""
 
-WRITTEN_FORMATS = {".vtu": "vtu", ".inp": "abaqus"}
-"""meshio's formats, by suffix, that are written, which keep every digit and node set."""
+WRITTEN_FORMATS = {".vtu": ("vtu", "<!-- written by ddic mesh -->\n"), ".inp": ("abaqus", "** written by ddic mesh\n")}
+"""meshio's formats, by suffix, that are written, which keep every digit and node set; a comment by which files are
+known."""
 
 
 def read_mesh(path: Path, mapping: Similarity) -> Mesh:
@@ -148,7 +149,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     import meshio
 
     require_written_format(path)
-    file_format = WRITTEN_FORMATS[path.suffix.lower()]
+    file_format, comment = WRITTEN_FORMATS[path.suffix.lower()]
     odd = [name for name in mesh.node_sets if file_format == "abaqus" and set(name) & set(",=\n")]
     if odd:
         raise InputError(f'{path}: this format cannot name the node set "{odd[0]}"; write a .vtu file')
@@ -166,3 +167,5 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
             raw.point_data[NODE_SET + name] = np.isin(np.arange(mesh.n_nodes), nodes).astype(np.uint8)
     with replaced_on_exit(path) as temporary:
         raw.write(temporary, file_format=file_format)
+        with temporary.open("a", encoding="ascii") as stream:
+            stream.write(comment)
