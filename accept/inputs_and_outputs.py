@@ -89,6 +89,7 @@ WRITERS = (
     Writer("probe", ("result.vtkhdf", "--point", "60,60", "--csv", "OUT")),
     Writer("export", ("result.vtkhdf", "--csv", "PLACE/table.csv"), "table.nodes.csv"),
     Writer("check", ("case.toml", "--plot", "OUT")),
+    Writer("mesh", ("case.toml", "--output", "OUT")),
     Writer("plot", ("result.vtkhdf", "--kind", "deformed", "--output", "PLACE"), "result.deformed.png"),
     Writer("sweep", ("case.toml", "--output", "PLACE"), "case.sweep.csv"),
     Writer("sweep", ("case.toml", "--output", "PLACE"), "case.sweep.png"),

@@ -49,12 +49,13 @@ def format_table(section: type[BaseModel]) -> list[str]:
 
 
 def describe_keys(section: type[BaseModel]) -> dict[str, str]:
-    """Read what the keys of a section mean: the text that stands below each in the source."""
-    [parsed] = ast.parse(textwrap.dedent(inspect.getsource(section))).body
+    """Read what the keys of a section mean: the text that stands below each in the source, of its bases too."""
     meanings = {}
-    for key, text in pairwise(parsed.body if isinstance(parsed, ast.ClassDef) else ()):
-        if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-            meanings[ast.unparse(key.target)] = " ".join(str(text.value.value).split())
+    for base in reversed(section.__mro__[:section.__mro__.index(BaseModel)]):
+        [parsed] = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        for key, text in pairwise(parsed.body if isinstance(parsed, ast.ClassDef) else ()):
+            if isinstance(key, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                meanings[ast.unparse(key.target)] = " ".join(str(text.value.value).split())
     return meanings
 
 

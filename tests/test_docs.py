@@ -28,6 +28,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[near]": schema.NearSection,
     "[mesh]": schema.MeshSection,
     "[mesh.structured]": schema.StructuredSection,
+    "[mesh.unstructured]": schema.UnstructuredSection,
     "[mesh.mapping]": schema.MappingSection,
     "[discontinuity]": schema.DiscontinuitySection,
     "[correlation]": schema.CorrelationSection,
@@ -40,7 +41,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[output]": schema.OutputSection,
     "[acquisition]": schema.AcquisitionSection,
 }
-HOLES = {schema.CircleSection, schema.PolygonSection}
+SHAPES = {schema.CircleSection, schema.PolygonSection, schema.RegionSection}
 
 named = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 
@@ -164,7 +165,7 @@ def test_tables_of_the_case_file_are_those_of_the_schema() -> None:
     text = document.read_text(encoding="utf-8")
     assert write_tables(text) == text, "run python scripts/write_case_reference.py"
     marked = re.findall(r"<!-- keys: ?([\w.]*) -->", text)
-    assert {find_section(tuple(name.split(".")) if name else ()) for name in marked} == {*SECTIONS.values(), *HOLES}
+    assert {find_section(tuple(name.split(".")) if name else ()) for name in marked} == {*SECTIONS.values(), *SHAPES}
 
 
 @pytest.mark.parametrize("document", [ROOT / "README.md", ROOT / "docs" / "case-file.md"], ids=lambda path: path.name)

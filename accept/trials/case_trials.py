@@ -105,7 +105,8 @@ BAD_PATHS: Mapping[str, BadPath] = {
 
 
 GOOD: Mapping[str, tuple[str, ...]] = {
-    "run": (CASE_FILE,), "check": (CASE_FILE,), "uncertainty": (CASE_FILE, "--sizes", "16", "--displacements", "2"),
+    "run": (CASE_FILE,), "check": (CASE_FILE,), "mesh": (CASE_FILE, "--output", "made.vtu"),
+    "uncertainty": (CASE_FILE, "--sizes", "16", "--displacements", "2"),
     "sweep": (CASE_FILE, "--lengths", "0", "--elements", "16"), "info": ("earlier.pair.vtkhdf",),
     "plot": ("earlier.pair.vtkhdf", "--kind", "partition"), "probe": ("earlier.pair.vtkhdf", "--point", "40,40"),
     "export": ("earlier.pair.vtkhdf",), "report": ("earlier.pair.vtkhdf",), "opening": ("earlier.cut.vtkhdf",),
@@ -185,6 +186,12 @@ OF_LIST = 200
 
 NO_SECTIONS: Mapping[str, Any] = {"text": "many", "number": 3, "list of numbers": [1, 2], "true": True}
 
+CIRCLE: Mapping[str, Any] = {"center": [48, 48], "radius": 30}
+REGIONS: Mapping[Keys, Any] = {("region", "center"): CIRCLE, ("region", "radius"): CIRCLE,
+                               ("region",): {"vertices": [[20, 20], [70, 25], [50, 70]]},
+                               (): PAIR["mesh"]["structured"]["region"]}
+"""A good region beside its keys, those of a polygon beside all others."""
+
 BESIDE: Mapping[Keys, Mapping[str, Any]] = {
     ("solver", "blocks"): {"solver": {"partition": "blocks"}},
     ("solver", "partition_file"): {"solver": {"method": "dual", "partition": "file"}},
@@ -193,6 +200,8 @@ BESIDE: Mapping[Keys, Mapping[str, Any]] = {
     ("images", "length_unit"): {"images": {**PAIR["images"], "pixel_size": 0.1}},
     ("images", "saturation"): {"images": {**PAIR["images"], "exclude_saturated": True}},
     ("mesh", "file"): {"mesh": {}},
+    **{("mesh", kind, *keys): {"mesh": {kind: {"region": region, "element_size": 16}}}
+       for kind in ("structured", "unstructured") for keys, region in REGIONS.items()},
     ("mesh", "mapping"): {"mesh": {"file": "mesh.msh"}},
     ("start", "frame"): {"start": {"from_result": "earlier.series.vtkhdf"}},
     ("near", "ratio"): {"near": [{"reference": "near_reference.tif", "deformed": "near_deformed.tif",

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ddic.kinematics.nodal import NodalRegion
     from ddic.mesh.mesh import Mesh
     from ddic.mesh.structured import build_structured_mesh as structured_mesh
+    from ddic.mesh.unstructured import build_unstructured_mesh as unstructured_mesh
     from ddic.probes.metrology import Metrology, estimate_metrology
     from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Reading, StrainGauge, load_probes, measure_probe
     from ddic.probes.tables import measure_probes, write_field_tables, write_probe_table
@@ -53,6 +54,7 @@ _PUBLIC = {
     "kinematics.nodal": ("NodalRegion",),
     "mesh.mesh": ("Mesh",),
     "mesh.structured": ("structured_mesh",),
+    "mesh.unstructured": ("unstructured_mesh",),
     "page": ("draw", "view_results"),
     "probes.metrology": ("Metrology", "estimate_metrology"),
     "probes.probes": ("Extensometer", "LineProbe", "PointProbe", "Reading", "StrainGauge", "load_probes",
@@ -66,7 +68,8 @@ _PUBLIC = {
 _HOMES = {name: home for home, names in _PUBLIC.items() for name in names}
 
 _NAMED_THERE = {"draw": "draw_case", "open": "read_result", "open_series": "read_series",
-                "structured_mesh": "build_structured_mesh"}
+                "structured_mesh": "build_structured_mesh",
+                "unstructured_mesh": "build_unstructured_mesh"}
 """What names are called at home, where they differ."""
 
 __all__ = [
@@ -76,7 +79,8 @@ __all__ = [
     "SingularSubdomainError", "StrainGauge", "Sweep", "TipDeviations", "Trial", "Uncertainty", "__version__",
     "choose_regularization", "draw", "estimate_metrology", "estimate_uncertainty", "find_crack_tip", "load_case",
     "load_probes", "make_synthetic_pair", "measure", "measure_opening", "measure_probe", "measure_probes", "open",
-    "open_series", "prepare", "structured_mesh", "view_results", "write_field_tables", "write_probe_table",
+    "open_series", "prepare", "structured_mesh", "unstructured_mesh", "view_results", "write_field_tables",
+    "write_probe_table",
     "write_report",
 ]
 

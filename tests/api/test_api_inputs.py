@@ -124,7 +124,7 @@ def test_grid_of_pyvista(pair: Pair, mesh: ddic.Mesh) -> None:
     (((0, 0, np.nan, 10), 2), "finite numbers"),
     (((0, 0, 10, 10), "a"), "finite numbers"),
     (((0, 0, 10, 10), 2, "Q8"), 'cell = "Q8": expected "Q4" or "T3"'),
-    (((0, 0, 10, 10), 2, "Q4", [((5, 5), -3)]), "hole_0 holds the centre of no cell"),
+    (((0, 0, 10, 10), 2, "Q4", [((5, 5), -3)]), "circles[0]: radius = -3: expected more than 0"),
     (((0, 0, 10, 10), 2, "Q4", (), (), np.ones(3)), "a mask of shape (3,), (height, width) expected"),
     (((0, 0, 10, 10), 2, "Q4", (), (), np.zeros((10, 10))), "no cell is left"),
 ])

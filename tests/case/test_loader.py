@@ -238,17 +238,21 @@ def test_any_value_at_any_key_loads_or_is_explained(tmp_path_factory: pytest.Tem
 
 
 def _described_as(section: tuple[str, ...]) -> tuple[str, ...]:
-    """A near field's own mesh is described as the mesh is."""
-    return section[1:] if section[:2] == ("near", "mesh") else section
+    """A near field's own mesh is described as the mesh is, what is in a region as in the structured one."""
+    if section[:2] == ("near", "mesh"):
+        section = section[1:]
+    is_in_region = section[:2] == ("mesh", "unstructured") and len(section) > 2
+    return ("mesh", "structured", *section[2:]) if is_in_region else section
 
 
 def _documented_keys(section: tuple[str, ...]) -> str:
     """The part of the document that describes a section: from its heading to the next."""
     section = _described_as(section)
-    nested = section[-1] in ("circles", "polygons")
     name = ".".join(section)
-    after = DOCUMENT.read_text(encoding="utf-8").partition(f"`[[{name}]]`" if nested else f"\n## [{name}]\n")[2]
-    return after.partition("\nA polygonal hole" if section[-1] == "circles" else "\n## ")[0]
+    starts = {"circles": f"`[[{name}]]`", "polygons": f"`[[{name}]]`", "region": f"a section `[{name}]`"}
+    ends = {"circles": "\nA polygonal hole", "polygons": "\nA region that"}
+    after = DOCUMENT.read_text(encoding="utf-8").partition(starts.get(section[-1], f"\n## [{name}]\n"))[2]
+    return after.partition(ends.get(section[-1], "\n## "))[0]
 
 
 @pytest.mark.parametrize("key", [key for key in ALL_KEYS if len(key) > 1], ids=".".join)
@@ -265,7 +269,7 @@ def test_sections_are_documented() -> None:
 
 def test_examples_of_the_document_are_valid(tmp_path: Path) -> None:
     blocks = re.findall(r"```toml\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     for block in blocks:
         (tmp_path / "case.toml").write_text(block if "[images]" in block else SMALLEST.partition("[mesh")[0] + block)
         load_case(tmp_path / "case.toml")

@@ -84,8 +84,8 @@ def _call(*words: object) -> Result:
 
 @pytest.mark.parametrize("link", [None, *LINKS])
 @pytest.mark.parametrize("input_", ["f.tif", "g.tif", "case.toml", "truth.json"])
-@pytest.mark.parametrize("command", ["check", "calibrate", "opening", "report", "probe", "export", "uncertainty",
-                                     "sweep"])
+@pytest.mark.parametrize("command", ["check", "mesh", "calibrate", "opening", "report", "probe", "export",
+                                     "uncertainty", "sweep"])
 def test_no_command_replaces_an_input(tmp_path: Path, command: str, input_: str, link: str | None) -> None:
     write_images(tmp_path, side=96)
     case = write_case(tmp_path, region="region = [16, 16, 80, 80]")
@@ -113,7 +113,7 @@ def _write_words(command: str, target: Path, folder: Path) -> tuple[Path, list[o
     if command in ("uncertainty", "sweep"):
         return place / f"case.{command}.csv", [case, "--output", place]
     words: dict[str, list[object]] = {
-        "check": [case, "--plot", target], "opening": [result, "--output", target],
+        "check": [case, "--plot", target], "mesh": [case, "--output", target], "opening": [result, "--output", target],
         "calibrate": [folder / "f.tif", folder / "g.tif", "--ratio", 4, "--output", target],
         "report": [result, "--output", target], "probe": [result, "--point", "40,40", "--csv", target],
     }

@@ -49,13 +49,37 @@ def test_corners_have_nodes_and_slanted_sides_are_straight() -> None:
     assert measure_shape_quality(mesh).min() > 0.2
 
 
-def test_islands_and_the_outside_are_holes_in_one() -> None:
+@pytest.mark.parametrize("outline", ["staircase", "snapped"])
+def test_an_outer_outline_is_the_sides_and_an_inner_one_a_hole(outline: str) -> None:
     # A ring-shaped specimen on a dark ground that fills the image.
     away = np.hypot(X - 100, Y - 90)
-    mesh = mesh_of((away < 70) & (away > 25))
-    radii = [np.hypot(*(mesh.nodes[mesh.node_sets[name]] - [100, 90]).T) for name in ("hole_0", "hole_1")]
-    for found, radius in zip(radii, (70.0, 25.0), strict=True):
-        np.testing.assert_allclose(found, radius, rtol=0, atol=1.4)
+    mask = (away < 70) & (away > 25)
+    mesh = mesh_of(mask) if outline == "snapped" else build_structured_mesh(REGION, SIZE, mask=mask)
+    assert set(mesh.node_sets) == {"left", "right", "top", "bottom", "hole_0"}
+    # Half a pixel and what counts as straight; half the diagonal of an element.
+    slack = 1.4 if outline == "snapped" else SIZE / np.sqrt(2)
+    for name, nodes in mesh.node_sets.items():
+        across = mesh.nodes[nodes] - [100, 90]
+        np.testing.assert_allclose(np.hypot(*across.T), 25 if name == "hole_0" else 70, rtol=0, atol=slack)
+    x, y = (mesh.nodes - [100, 90]).T
+    for name, ahead in {"left": -x, "right": x, "top": -y, "bottom": y}.items():
+        # In its quadrant, but for half an edge; the steps of a staircase face left all along its left half.
+        assert (ahead[mesh.node_sets[name]] > (70 / np.sqrt(2) - SIZE if outline == "snapped" else 0)).all()
+
+
+def test_holes_of_a_mask_are_numbered_on_from_top_to_bottom() -> None:
+    mask = np.ones((180, 200), dtype=bool)
+    for x, y in ((140, 50), (60, 130), (70, 80)):
+        mask[y - 15:y + 15, x - 15:x + 15] = False
+    # At the edge, hence no hole.
+    mask[:40, :40] = False
+    mesh = build_structured_mesh(REGION, SIZE, circles=[((150.0, 140.0), 12.0)], mask=mask)
+    assert list(mesh.node_sets) == ["left", "right", "top", "bottom", "hole_0", "hole_1", "hole_2", "hole_3"]
+    middles = [mesh.nodes[mesh.node_sets[f"hole_{k}"]].mean(axis=0) for k in range(4)]
+    np.testing.assert_allclose(middles, [(150, 140), (140, 50), (70, 80), (60, 130)], atol=SIZE / 2)
+    # The corner that is left out faces left and up.
+    assert mesh.nodes[mesh.node_sets["left"], 0].max() == 40
+    assert mesh.nodes[mesh.node_sets["top"], 1].max() == 40
 
 
 def test_specks_and_pixels_outside_the_image() -> None:

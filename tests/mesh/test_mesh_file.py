@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from ddic.errors import InputError
-from ddic.io.mesh_file import read_mesh
+from ddic.io.mesh_file import read_mesh, write_mesh
 from ddic.mesh.cell_type import Q4, T3
-from ddic.mesh.mesh import Similarity
+from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 from ddic.mesh.repair import repair
+from ddic.mesh.structured import build_structured_mesh
 
 POINTS = np.array([[0, 0, 2], [1, 0, 2], [2, 0, 2], [2, 1, 2], [1, 1, 2], [0, 1, 2], [9, 9, 7]], dtype=float)
 CELLS = [
@@ -115,6 +116,50 @@ def test_unreadable_files_are_refused_quietly(tmp_path: Path, capsys: pytest.Cap
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such mesh file"):
         read_mesh(tmp_path / "a.msh", Similarity())
+
+
+WRITTEN = {
+    "quadrilaterals and triangles": build_structured_mesh(((101.7, 90.2), 60.3), 8, circles=[((100.0, 98.0), 20.0)]),
+    "triangles": build_structured_mesh((0, 0, 40, 30), 10, "T3"),
+    # Cells of one type after those of the other and before more, a set of one node, one of none.
+    "mixed": build_mesh(POINTS[:6, :2] / 3, [(T3, np.array([[1, 2, 3]])), (Q4, np.array([[0, 1, 4, 5]])),
+                                             (T3, np.array([[1, 3, 4]]))],
+                        {"a pin": np.array([4]), "edge": np.array([0, 5]), "none": np.zeros(0, np.int64)}),
+}
+
+
+def assert_same(read: Mesh, mesh: Mesh) -> None:
+    np.testing.assert_array_equal(read.nodes, mesh.nodes)
+    np.testing.assert_array_equal(read.types, mesh.types)
+    np.testing.assert_array_equal(read.cells, mesh.cells)
+    sets = {name: nodes.tolist() for name, nodes in mesh.node_sets.items() if len(nodes)}
+    assert {name: nodes.tolist() for name, nodes in read.node_sets.items()} == sets
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+@pytest.mark.parametrize("suffix", [".vtu", ".inp", ".VTU"])
+def test_what_is_written_is_read_back_the_same(tmp_path: Path, name: str, suffix: str,
+                                               capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / f"mesh{suffix}"
+    write_mesh(path, WRITTEN[name])
+    assert_same(read_mesh(path, Similarity()), WRITTEN[name])
+    assert list(tmp_path.iterdir()) == [path]
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", ["mesh.msh", "mesh.vtk", "mesh"])
+def test_formats_that_lose_node_sets_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"node sets would be lost; give a name that ends in .vtu or .inp"):
+        write_mesh(tmp_path / name, WRITTEN["mixed"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_set_that_abaqus_cannot_name_is_refused(tmp_path: Path) -> None:
+    mesh = build_mesh(POINTS[:3, :2] * [1, 1], [(T3, np.array([[0, 1, 2]]))], {"a,b": np.array([1])})
+    with pytest.raises(InputError, match=r'cannot name the node set "a,b"; write a .vtu file'):
+        write_mesh(tmp_path / "mesh.inp", mesh)
+    write_mesh(tmp_path / "mesh.vtu", mesh)
+    assert read_mesh(tmp_path / "mesh.vtu", Similarity()).node_sets["a,b"].tolist() == [1]
 
 
 @pytest.mark.real_data

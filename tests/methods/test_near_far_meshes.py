@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from click.testing import CliRunner
 from mpi4py import MPI
 
 from ddic.case.loader import load_case
 from ddic.check.case import check_case
+from ddic.cli.app import command_line
 from ddic.errors import InputError
 from ddic.inputs.cameras import assign_cells, open_cameras
 from ddic.inputs.inputs import Inputs
@@ -186,3 +188,12 @@ def test_the_report_counts_unknowns(tmp_path: Path) -> None:
     assert report.n_dofs == 2 * n_unknown_nodes
     assert report.n_controlled_dofs == 2 * (n_unknown_nodes - 2 * (13 + 11))
     assert report.n_nodes == n_unknown_nodes + 2 * (12 + 9)
+
+
+def test_meshes_that_do_not_match_are_not_written(tmp_path: Path) -> None:
+    case = write(tmp_path, near=NEAR_MESH.format(size=3))
+    done = CliRunner().invoke(command_line, ["mesh", str(case), "-o", str(tmp_path / "mesh.vtu")])
+    assert done.exit_code == 2
+    assert done.stderr.strip() == (f"{case}: near.mesh: meshes that do not match are not one that mesh.file could "
+                                   "read; leave near.mesh out")
+    assert not (tmp_path / "mesh.vtu").exists()

@@ -92,8 +92,8 @@ def _refuse_impossible(case: Case, wavelengths: Sequence[float] | None, sizes: S
     if case.near:
         raise InputError("[[near]]: a sweep knows one camera; leave [[near]] out")
     if sizes is not None and case.mesh.structured is None:
-        raise InputError("element sizes: the mesh comes from a file, whose elements stay; give [mesh.structured], or "
-                         "leave the sizes out")
+        raise InputError("element sizes: they go with [mesh.structured]; other elements stay as they are, leave "
+                         "the sizes out")
     for name, values, least in (("cut-off wavelengths", wavelengths, 0.0), ("element sizes", sizes, 1.0)):
         if values is not None and not (len(values) and all(least <= value < float("inf") for value in values)):
             raise InputError(f"{name} {list(values)}: give numbers of pixels, at least {least:g}")

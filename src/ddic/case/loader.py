@@ -104,7 +104,8 @@ def _missing(location: Location, data: Mapping[str, Any]) -> str:
     """What is said of a key, a section or an item of a list that is missing."""
     if isinstance(location[-1], int):
         return f"the list is too short: {_shown(_value_at(data, location[:-1]))}"
-    kind = "section" if find_section(location) is not None else "key"
+    # Further in, what takes a section takes a list as well.
+    kind = "section" if len(location) == 1 and find_section(location) is not None else "key"
     return f"this {kind} is missing; it has no default"
 
 

@@ -50,6 +50,7 @@ OPENINGS = OutputKind("table of openings", (b"line,distance_px,",))
 PROBES = OutputKind("table of probes", (b"time,result,probe,",))
 NODES, CELLS = OutputKind("table of nodes", (b"node,x [px],",)), OutputKind("table of cells", (b"cell,x [px],",))
 TRIALS = OutputKind("table of trials", (b"element_size_px,",))
+MESH = OutputKind("mesh", (), b"written by ddic mesh")
 UNCERTAINTY = OutputKind("table of uncertainty", (b"kind,element_size_px,",))
 
 

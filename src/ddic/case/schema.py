@@ -4,7 +4,7 @@ The text below a key is what it means; ``note`` holds what its type does not tel
 them (scripts/write_case_reference.py).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
@@ -30,7 +30,13 @@ def _is_list(value: object) -> str:
     return "several" if isinstance(value, list | tuple) else "one"
 
 
+def _is_table(value: object) -> str:
+    """Which of a section and a list is meant; what is neither is told to be no list."""
+    return "one" if isinstance(value, Mapping | BaseModel) else "several"
+
+
 OneOrSeveral = Discriminator(_is_list)
+TableOrList = Discriminator(_is_table)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -145,17 +151,36 @@ class PolygonSection(Section):
     """At least three vertices, in either sense; the polygon is closed by itself."""
 
 
-class StructuredSection(Section):
-    """A built-in mesh of square cells on a region of interest, pixels."""
+class RegionSection(Section):
+    """A region of interest that is no box, pixels."""
 
-    region: Box
-    """The rectangle; it must hold at least one cell and lie in the image."""
+    vertices: Annotated[Points, Field(min_length=3)] | None = None
+    """A polygon: at least three vertices, in either sense; it is closed by itself and may not cross itself."""
+
+    center: Annotated[Point, note(unit="px")] | None = None
+    """Centre of a circle."""
+
+    radius: PositivePixels | None = None
+    """Its radius."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        is_circle = (self.center is not None, self.radius is not None)
+        if is_circle not in ((False, False), (True, True)) or all(is_circle) == (self.vertices is not None):
+            yield "give either the vertices of a polygon, or center and radius of a circle"
+
+
+class MeshedSection(Section):
+    """A region of interest that ddic meshes, pixels."""
+
+    region: Annotated[Annotated[RegionSection, Tag("one")] | Annotated[Box, Tag("several")], TableOrList,
+                      note(unit="px", shape="[x0, y0, x1, y1] or section")]
+    """A box, or a polygon or a circle, see below; it must hold at least one cell and lie in the image."""
 
     element_size: PositivePixels
     """Side of the cells."""
 
-    cell: Literal["Q4", "T3"] = "Q4"
-    """Quadrilaterals, or triangles with alternating diagonals."""
+    cell: Literal["Q4", "T3"]
+    """What they are."""
 
     circles: tuple[CircleSection, ...] = ()
     """Circular holes, see below."""
@@ -163,18 +188,45 @@ class StructuredSection(Section):
     polygons: tuple[PolygonSection, ...] = ()
     """Polygonal holes, see below."""
 
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """The smallest box around the region: x0, y0, x1, y1, pixels."""
+        region = self.region
+        if not isinstance(region, RegionSection):
+            return region
+        if region.center is not None and region.radius is not None:
+            (x, y), r = region.center, region.radius
+            return x - r, y - r, x + r, y + r
+        columns, rows = zip(*(region.vertices or ()), strict=True)
+        return min(columns), min(rows), max(columns), max(rows)
+
+    def _list_contradictions(self) -> Iterator[str]:
+        x0, y0, x1, y1 = self.box
+        if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
+            yield (f"region must hold at least one element of element_size: its box is {x1 - x0:g} x {y1 - y0:g} px; "
+                   "give x0 < x1 and y0 < y1, or smaller elements")
+
+
+class StructuredSection(MeshedSection):
+    """A built-in mesh of square cells, pixels."""
+
+    cell: Literal["Q4", "T3"] = "Q4"
+    """Quadrilaterals, or triangles with alternating diagonals."""
+
     mask: Path | None = None
     """Image of the same size as the reference, not 0 where cells may be; a cell is kept if at least half of its pixels
     are."""
 
     mask_outline: Literal["staircase", "snapped"] = "staircase"
-    """"snapped": what the mask leaves out is a hole as circles and polygons are: nodes are moved onto its outline, with
-    one at each corner, and are node sets `hole_...`, numbered on after polygons."""
+    """"snapped": what the mask leaves out is cut out as circles and polygons are: nodes are moved onto its outline,
+    with one at each corner."""
 
-    def _list_contradictions(self) -> Iterator[str]:
-        x0, y0, x1, y1 = self.region
-        if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
-            yield "region = [x0, y0, x1, y1] must hold at least one element of element_size"
+
+class UnstructuredSection(MeshedSection):
+    """A mesh that gmsh makes, pixels."""
+
+    cell: Literal["T3", "Q4"] = "T3"
+    """Triangles or quadrilaterals."""
 
 
 class MappingSection(Section):
@@ -198,7 +250,7 @@ class MappingSection(Section):
 
 
 class MeshSection(Section):
-    """A mesh file that meshio reads, or a built-in structured mesh."""
+    """A mesh file that meshio reads, or a region that is meshed."""
 
     file: Annotated[Path | None, note(unit="mesh units")] = None
     """A mesh that meshio reads (Gmsh, Abaqus, VTU, ...), with linear triangles (T3) and quadrilaterals (Q4), mixed or
@@ -209,19 +261,29 @@ class MeshSection(Section):
     structured: StructuredSection | None = None
     """A built-in mesh, see `[mesh.structured]`."""
 
+    unstructured: UnstructuredSection | None = None
+    """A mesh that gmsh makes, see `[mesh.unstructured]`."""
+
     mapping: Annotated[MappingSection, note(default="identity")] = MappingSection()
     """From the file's units to pixels, see `[mesh.mapping]`."""
 
     @property
     def name(self) -> str:
-        """What messages call the mesh: its file, or the section that describes the built-in one."""
-        return "mesh.structured" if self.file is None else str(self.file)
+        """What messages call the mesh: its file, or the section that describes it."""
+        if self.file is not None:
+            return str(self.file)
+        return "mesh.unstructured" if self.structured is None else "mesh.structured"
+
+    @property
+    def meshed(self) -> MeshedSection | None:
+        """The region to be meshed; None where a file brings the mesh."""
+        return self.unstructured if self.structured is None else self.structured
 
     def _list_contradictions(self) -> Iterator[str]:
-        if (self.file is None) == (self.structured is None):
-            yield "give either mesh.file or [mesh.structured]"
-        if self.structured is not None and self.mapping != MappingSection():
-            yield "mesh.mapping applies to mesh.file only: structured meshes are in pixels"
+        if sum(given is not None for given in (self.file, self.structured, self.unstructured)) != 1:
+            yield "give one of mesh.file, [mesh.structured] and [mesh.unstructured]"
+        if self.file is None and self.mapping != MappingSection():
+            yield "mesh.mapping applies to mesh.file only: regions are in pixels"
 
 
 class NearSection(Section):

@@ -37,6 +37,7 @@ COMMANDS = {
     "draw": "Draw a case on its image in the browser, and run it.",
     "run": "Measure the displacement between two images.",
     "check": "Validate all inputs of a case file without solving.",
+    "mesh": "Write the mesh of a case file, with its node sets.",
     "synth": "Make image pairs with a known displacement.",
     "info": "Describe a result file or an image.",
     "view": "Look at results in the browser.",

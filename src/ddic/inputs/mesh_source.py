@@ -4,21 +4,34 @@ import math
 
 import numpy as np
 
-from ddic.case.schema import Case, MappingSection, MeshSection, StructuredSection
+from ddic.arrays import Array
+from ddic.case.schema import (
+    Case,
+    MappingSection,
+    MeshedSection,
+    MeshSection,
+    RegionSection,
+    StructuredSection,
+    UnstructuredSection,
+)
 from ddic.errors import InputError
 from ddic.io.image_file import read_mask
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.grid import GridLines
-from ddic.mesh.holes import OutlinedHole, find_mask_holes
+from ddic.mesh.holes import OutlinedHole, RegionLike, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, check_joints, repair
 from ddic.mesh.structured import build_grid_lines, build_structured_mesh, count_cells
+from ddic.mesh.unstructured import build_unstructured_mesh
 from ddic.parallel.node import read_available_memory
 from ddic.parallel.team import require_held
 from ddic.partition.ties import Tying, tie_meshes
 
 BYTES_PER_CELL = 520
 """Memory that a built-in mesh takes for each cell while it is made, measured on 62,500 and on 1,000,000 cells alike."""
+
+BYTES_OF_GMSH = 2700
+"""The same that gmsh takes for a square of ``element_size``, measured on 370,000 triangles; of quadrilaterals 1,000."""
 
 SHORTEST_WAVELENGTH = 3.0
 """Elements per cut-off wavelength below which a plane wave is not one on the mesh (aliasing)."""
@@ -52,7 +65,9 @@ def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | Non
 def is_plain_grid(case: Case) -> bool:
     """Tell whether a case asks for a rectangle of Q4 that nothing cuts, ties or splits in a way of its own."""
     section = case.mesh.structured
-    if section is None or section.cell != "Q4" or section.circles or section.polygons or section.mask is not None:
+    if section is None or section.cell != "Q4" or isinstance(section.region, RegionSection):
+        return False
+    if section.circles or section.polygons or section.mask is not None:
         return False
     return not (case.near or case.discontinuity) and case.solver.partition in ("auto", "blocks")
 
@@ -60,8 +75,8 @@ def is_plain_grid(case: Case) -> bool:
 def build_plain_grid(case: Case) -> GridLines:
     """Build the lines of the rectangle that a case asks for; raises InputError where cells would hold no pixel."""
     section = require_held(case.mesh.structured)
-    _check_pixels(section)
-    return build_grid_lines(section.region, section.element_size)
+    _check_pixels(section, case.mesh.name)
+    return build_grid_lines(section.box, section.element_size)
 
 
 def build_mesh_anywhere(case: Case) -> Mesh:
@@ -99,6 +114,8 @@ def accept_mesh(raw: Mesh, name: str, width: int, height: int, *, is_built_in: b
 def _raw_mesh(section: MeshSection, width: int, height: int) -> Mesh:
     if section.file is not None:
         return read_mesh(section.file, convert_mapping(section.mapping))
+    if section.unstructured is not None:
+        return _unstructured(section.unstructured)
     return _structured(require_held(section.structured), width, height)
 
 
@@ -107,39 +124,57 @@ def convert_mapping(section: MappingSection) -> Similarity:
     return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation, section.y_up)
 
 
-def _check_pixels(section: StructuredSection) -> tuple[int, int]:
+def _check_pixels(section: MeshedSection, name: str) -> tuple[int, int]:
     """Refuse a mesh that has elements without a pixel whatever its holes; columns and rows of others come back."""
-    n_columns, n_rows = count_cells(section.region, section.element_size)
-    x0, y0, x1, y1 = section.region
+    n_columns, n_rows = count_cells(section.box, section.element_size, name)
+    x0, y0, x1, y1 = section.box
     n_pixels = (math.floor(x1 + 1) - math.ceil(x0), math.floor(y1 + 1) - math.ceil(y0))
     if n_columns > n_pixels[0] or n_rows > n_pixels[1]:
-        raise InputError(f"mesh.structured: element_size = {section.element_size:g} asks for {n_columns} x {n_rows} "
+        raise InputError(f"{name}: element_size = {section.element_size:g} asks for {n_columns} x {n_rows} "
                          f"elements on {n_pixels[0]} x {n_pixels[1]} pixels: some hold no pixel; use larger elements")
     return n_columns, n_rows
 
 
-def _check_size(section: StructuredSection) -> None:
+def _check_size(section: MeshedSection, name: str, bytes_per_cell: int) -> None:
     """Refuse a mesh that has elements without a pixel, or does not fit into memory, before it is built."""
-    n_columns, n_rows = _check_pixels(section)
-    needed, left = n_columns * n_rows * BYTES_PER_CELL, read_available_memory()
+    n_columns, n_rows = _check_pixels(section, name)
+    needed, left = n_columns * n_rows * bytes_per_cell, read_available_memory()
     if needed > left:
-        raise InputError(f"mesh.structured: {n_columns * n_rows:.3g} elements, {2 * n_columns * n_rows:.3g} unknowns, "
+        raise InputError(f"{name}: {n_columns * n_rows:.3g} elements, {2 * n_columns * n_rows:.3g} unknowns, "
                          f"take {needed / 2**30:.3g} GiB to build alone, and {left / 2**30:.3g} GiB are left here; use "
                          "larger elements, or a machine with more memory")
 
 
 def _structured(section: StructuredSection, width: int, height: int) -> Mesh:
-    _check_size(section)
+    _check_size(section, "mesh.structured", BYTES_PER_CELL)
     mask = None if section.mask is None else read_mask(section.mask, width, height)
     outlined: list[OutlinedHole] = []
     if mask is not None and section.mask_outline == "snapped":
-        outlined, mask = find_mask_holes(mask, section.region, section.element_size), None
-    return build_structured_mesh(
-        section.region, section.element_size, section.cell,
-        circles=[(circle.center, circle.radius) for circle in section.circles],
-        polygons=[*(np.array(polygon.vertices) for polygon in section.polygons), *outlined],
-        mask=mask,
-    )
+        outlined, mask = find_mask_holes(mask, section.box, section.element_size), None
+    circles, polygons = _list_holes(section)
+    return build_structured_mesh(_region(section), section.element_size, section.cell, circles,
+                                 [*polygons, *outlined], mask)
+
+
+def _unstructured(section: UnstructuredSection) -> Mesh:
+    _check_size(section, "mesh.unstructured", BYTES_OF_GMSH)
+    return build_unstructured_mesh(_region(section), section.element_size, section.cell, *_list_holes(section))
+
+
+def _region(section: MeshedSection) -> RegionLike:
+    """The region as functions that mesh it take it."""
+    region = section.region
+    if not isinstance(region, RegionSection):
+        return region
+    if region.center is not None and region.radius is not None:
+        return region.center, region.radius
+    return np.array(region.vertices)
+
+
+def _list_holes(section: MeshedSection) -> tuple[list[tuple[tuple[float, float], float]], list[Array]]:
+    """Circles and polygons as functions that mesh a region take them."""
+    return ([(circle.center, circle.radius) for circle in section.circles],
+            [np.array(polygon.vertices) for polygon in section.polygons])
 
 
 def check_weight_fits(eta: float, modulus: float, texture: float, size: float) -> None:

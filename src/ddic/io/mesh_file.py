@@ -1,4 +1,4 @@
-"""Meshes read from files in any format that meshio knows."""
+"""Meshes read from files in any format that meshio knows, and written in those that keep node sets."""
 
 import io
 from collections import Counter
@@ -13,6 +13,7 @@ import numpy as np
 from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.io.input_file import require_file
+from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.mesh.cell_type import CELL_TYPES, CellType
 from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
@@ -23,12 +24,21 @@ NAMING_CELLS = {"vertex": 0, "line": 1}
 """meshio's names of the cells that only carry the names of node sets, and their dimension."""
 
 
+NODE_SET = "node set: "
+"""Begins the name of a field on the nodes that is 1 in a node set and 0 elsewhere: VTU knows no sets."""
+
+WRITTEN_FORMATS = {".vtu": ("vtu", "<!-- written by ddic mesh -->\n"), ".inp": ("abaqus", "** written by ddic mesh\n")}
+"""meshio's formats, by suffix, that are written, which keep every digit and node set; a comment by which files are
+known."""
+
+
 def read_mesh(path: Path, mapping: Similarity) -> Mesh:
     """Read a mesh of T3 and Q4 (mixed or not) and map it to pixels; cells keep the file's order.
 
-    Node sets come from the named groups of lines and vertices (Gmsh physical groups, meshio cell sets) and from point
-    sets. ``mapping`` leads from the file's units to pixels. The mesh is as it is in the file: not yet repaired. Raises
-    InputError where the file cannot be read, holds other cells, or is not plane.
+    Node sets come from the named groups of lines and vertices (Gmsh physical groups, meshio cell sets), from point
+    sets, and from the fields that ``write_mesh`` writes. ``mapping`` leads from the file's units to pixels. The mesh is
+    as it is in the file: not yet repaired. Raises InputError where the file cannot be read, holds other cells, or is
+    not plane.
     """
     return convert_mesh(_read_raw(path), str(path), mapping)
 
@@ -91,7 +101,7 @@ def _plane_points(name: str, points: Array, blocks: list[tuple[CellType, IntArra
 def _node_sets(raw: Any) -> dict[str, IntArray]:
     """Node sets of all kinds by name, sorted, without empty ones."""
     gathered: dict[str, list[IntArray]] = {}
-    for name, nodes in chain(_physical_groups(raw), _cell_sets(raw), raw.point_sets.items()):
+    for name, nodes in chain(_physical_groups(raw), _cell_sets(raw), raw.point_sets.items(), _marked_nodes(raw)):
         gathered.setdefault(name, []).append(np.asarray(nodes, dtype=np.int64).ravel())
     sets = {name: np.unique(np.concatenate(parts)) for name, parts in gathered.items()}
     return {name: nodes for name, nodes in sets.items() if len(nodes)}
@@ -115,3 +125,47 @@ def _cell_sets(raw: Any) -> Iterator[tuple[str, IntArray]]:
         for block, of_block in zip(raw.cells, members, strict=True):
             if block.type in NAMING_CELLS and of_block is not None:
                 yield name, np.asarray(block.data)[np.asarray(of_block, dtype=np.int64)]
+
+
+def _marked_nodes(raw: Any) -> Iterator[tuple[str, IntArray]]:
+    """Nodes of the sets that are fields."""
+    for name, values in raw.point_data.items():
+        if name.startswith(NODE_SET):
+            yield name.removeprefix(NODE_SET), np.flatnonzero(values)
+
+
+def require_written_format(path: Path) -> None:
+    """Refuse, by an InputError, a name whose suffix is not that of a format that is written."""
+    if path.suffix.lower() not in WRITTEN_FORMATS:
+        raise InputError(f"{path}: node sets would be lost; give a name that ends in {' or '.join(WRITTEN_FORMATS)}, "
+                         "formats that keep them")
+
+
+def write_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a mesh in pixels, with its node sets, so that ``read_mesh`` reads the same.
+
+    Raises InputError as ``require_written_format`` does, and where the folder cannot be written to.
+    """
+    import meshio
+
+    require_written_format(path)
+    file_format, comment = WRITTEN_FORMATS[path.suffix.lower()]
+    odd = [name for name in mesh.node_sets if file_format == "abaqus" and set(name) & set(",=\n")]
+    if odd:
+        raise InputError(f'{path}: this format cannot name the node set "{odd[0]}"; write a .vtu file')
+    ends = [*np.flatnonzero(np.diff(mesh.types)) + 1, mesh.n_cells]
+    blocks = []
+    for start, end in zip([0, *ends], ends, strict=False):
+        kind = CELL_TYPES[int(mesh.types[start])]
+        blocks.append((kind.meshio_name, mesh.cells[start:end, :kind.n_nodes]))
+    points = np.column_stack([mesh.nodes, np.zeros(mesh.n_nodes)])
+    raw = meshio.Mesh(points, blocks)
+    for name, nodes in mesh.node_sets.items():
+        if file_format == "abaqus":
+            raw.point_sets[name] = nodes
+        else:
+            raw.point_data[NODE_SET + name] = np.isin(np.arange(mesh.n_nodes), nodes).astype(np.uint8)
+    with replaced_on_exit(path) as temporary:
+        raw.write(temporary, file_format=file_format)
+        with temporary.open("a", encoding="ascii") as stream:
+            stream.write(comment)

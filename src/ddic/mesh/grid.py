@@ -69,6 +69,11 @@ class GridLines:
         return len(self.x) * len(self.y)
 
     @property
+    def box(self) -> tuple[float, float, float, float]:
+        """Where it lies: x0, y0, x1, y1, pixels."""
+        return float(self.x[0]), float(self.y[0]), float(self.x[-1]), float(self.y[-1])
+
+    @property
     def nodes(self) -> Array:
         """Crossings of the lines, row by row, ((n_rows + 1) (n_columns + 1), 2), pixels."""
         x, y = np.meshgrid(self.x, self.y)
@@ -94,6 +99,12 @@ class GridLines:
         """Nodes on the sides; y points down, so that top is where y is smallest."""
         numbers = np.arange(len(self.x) * len(self.y), dtype=np.int64).reshape(len(self.y), len(self.x))
         return {"left": numbers[:, 0], "right": numbers[:, -1], "top": numbers[0], "bottom": numbers[-1]}
+
+    def pad(self) -> "GridLines":
+        """Put a ring of rectangles around."""
+        x, y = (np.concatenate([[2 * lines[0] - lines[1]], lines, [2 * lines[-1] - lines[-2]]])
+                for lines in (self.x, self.y))
+        return GridLines(x, y)
 
     def build_mesh(self) -> Mesh:
         """Build the mesh of all rectangles, without node sets."""

@@ -1,18 +1,25 @@
-"""Shapes of holes, also of those that a mask image draws: signed distance, nearest point of the outline, corners."""
+"""Shapes of regions and of holes, also of those that a mask image draws: signed distance, nearest point, corners."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
-from ddic.mesh.plane import is_inside_edges, multiply_across
+from ddic.errors import InputError
+from ddic.mesh.plane import is_inside_edges, is_simple_polygon, multiply_across, subdivide
+
+Box = tuple[float, float, float, float]
+"""x0, y0, x1, y1, pixels."""
+
+RegionLike = Sequence[float] | tuple[Sequence[float], float] | Array
+"""A box, (x0, y0, x1, y1); a circle, (centre, radius); or the vertices of a polygon, (n, 2); pixels."""
 
 
-class Hole(Protocol):
+class Outline(Protocol):
     """A closed outline in the plane."""
 
     def measure_distance(self, points: Array) -> Array:
@@ -23,7 +30,7 @@ class Hole(Protocol):
 
 
 @dataclass(frozen=True)
-class CircularHole:
+class Circle:
     """A circle.
 
     Attributes
@@ -34,6 +41,18 @@ class CircularHole:
 
     center: tuple[float, float]
     radius: float
+
+    @property
+    def box(self) -> Box:
+        """The smallest box around it."""
+        (x, y), r = self.center, self.radius
+        return x - r, y - r, x + r, y + r
+
+    def list_points(self, step: float) -> Array:
+        """List points of the outline, (n, 2), each at most a step from the next, pixels."""
+        # Its leftmost, topmost... points among them.
+        angles = np.linspace(0, 2 * np.pi, 4 * int(2 + self.radius / step * np.pi / 2), endpoint=False)
+        return np.asarray(np.array(self.center) + self.radius * np.column_stack([np.cos(angles), np.sin(angles)]))
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the circle, pixels, negative inside."""
@@ -48,7 +67,7 @@ class CircularHole:
 
 
 @dataclass(frozen=True)
-class PolygonalHole:
+class Polygon:
     """A closed polygon in either sense; inside is what the even-odd rule calls so.
 
     Attributes
@@ -58,6 +77,16 @@ class PolygonalHole:
     """
 
     vertices: Array
+
+    @property
+    def box(self) -> Box:
+        """The smallest box around it."""
+        (x0, y0), (x1, y1) = self.vertices.min(axis=0).tolist(), self.vertices.max(axis=0).tolist()
+        return x0, y0, x1, y1
+
+    def list_points(self, step: float) -> Array:
+        """List points of the outline, (n, 2), each at most a step from the next, pixels."""
+        return subdivide(np.concatenate([self.vertices, self.vertices[:1]]), step)
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the polygon, pixels, negative inside."""
@@ -96,17 +125,17 @@ SHARP_DEGREES = 30.0
 
 @dataclass(frozen=True, eq=False)
 class OutlinedHole:
-    """A region between closed polygons, the outer one and those of islands in it.
+    """What lies between closed outlines, the outer one and those of islands in it.
 
     Attributes
     ----------
-    rings : tuple of PolygonalHole
-        Closed polygons; inside is what an odd number of them holds.
+    rings : tuple of Outline
+        Inside is what an odd number of them holds.
     corners : (n, 2) array
         Where they turn sharply, pixels: a node is to lie at each. In other holes nodes go to the nearest points.
     """
 
-    rings: tuple[PolygonalHole, ...]
+    rings: tuple[Outline, ...]
     corners: Array
 
     def measure_distance(self, points: Array) -> Array:
@@ -121,6 +150,71 @@ class OutlinedHole:
         nearest = np.array([ring.find_nearest(points) for ring in self.rings])
         chosen = np.linalg.norm(nearest - points, axis=2).argmin(axis=0)
         return np.asarray(nearest[chosen, np.arange(len(points))])
+
+
+def convert_region(region: RegionLike, name: str) -> Circle | Polygon | None:
+    """Convert a region to its outline, None where it is a box; ``name`` is what messages call the mesh.
+
+    Raises InputError where it is none of these, or a polygon whose sides meet elsewhere than at its vertices.
+    """
+    given: Any = region
+    try:
+        if np.ndim(given[0]) == 0:
+            return None
+        if len(given) == 2:
+            (x, y), radius = given
+            return Circle((float(x), float(y)), float(radius))
+        polygon = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{name}.region: expected (x0, y0, x1, y1), (centre, radius) or vertices (n, 2), finite "
+                         "numbers of pixels") from error
+    return convert_polygon(polygon, f"{name}.region")
+
+
+def convert_polygon(vertices: Array, name: str) -> Polygon:
+    """Convert vertices, (n, 2), pixels, to a polygon without those that repeat the one before.
+
+    Raises InputError where sides meet elsewhere than at their common vertex; ``name`` is what messages call it.
+    """
+    given = np.asarray(vertices, dtype=np.float64)
+    if given.ndim != 2 or given.shape[1] != 2 or not np.isfinite(given).all():
+        raise InputError(f"{name}: vertices of shape {given.shape}, (n, 2) finite numbers of pixels expected")
+    distinct = given[(given != np.roll(given, 1, axis=0)).any(axis=1)]
+    if len(distinct) < 3 or not is_simple_polygon(distinct):
+        raise InputError(f"{name}: the polygon crosses or touches itself; list its vertices in the order in which they "
+                         "follow each other around it")
+    return Polygon(distinct)
+
+
+def convert_holes(circles: Sequence[tuple[tuple[float, float], float]], polygons: Sequence[Array],
+                  name: str) -> list[Circle | Polygon]:
+    """Convert holes to their outlines, circles first; ``name`` is what messages call the mesh.
+
+    Raises InputError on radii that are not above 0, and on polygons as ``convert_polygon`` does.
+    """
+    for k, (_, radius) in enumerate(circles):
+        if not radius > 0:
+            raise InputError(f"{name}.circles[{k}]: radius = {radius}: expected more than 0")
+    return [*(Circle(center, radius) for center, radius in circles),
+            *(convert_polygon(vertices, f"{name}.polygons[{k}]") for k, vertices in enumerate(polygons))]
+
+
+def build_outside(region: Circle | Polygon, element_size: float) -> OutlinedHole:
+    """Build the hole that is all around a region; it has the region's corners between sides that hold an element."""
+    x0, y0, x1, y1 = region.box
+    away = 2 * max(x1 - x0, y1 - y0)
+    frame = Polygon(np.array([[x0 - away, y0 - away], [x1 + away, y0 - away], [x1 + away, y1 + away],
+                              [x0 - away, y1 + away]]))
+    corners = _find_corners(region.vertices, element_size) if isinstance(region, Polygon) else np.zeros((0, 2))
+    return OutlinedHole((frame, region), corners)
+
+
+def require_inside(holes: Sequence[Circle | Polygon], region: Circle | Polygon, step: float, name: str) -> None:
+    """Refuse, by an InputError, holes that leave the region, looked at every ``step`` pixels along their outlines."""
+    for number, hole in enumerate(holes):
+        if (region.measure_distance(hole.list_points(step)) >= 0).any():
+            raise InputError(f"{name}: hole_{number} leaves the region; move it inside, or draw its notch as part of "
+                             f"{name}.region, a polygon")
 
 
 def find_mask_holes(mask: BoolArray, region: Sequence[float], element_size: float) -> list[OutlinedHole]:
@@ -158,7 +252,7 @@ def _outline(inside: BoolArray, low: NDArray[np.int_], element_size: float) -> O
     polygons = [cv2.approxPolyDP(contour, STRAIGHT_PX, True)[:, 0] + low - 0.5 for contour in contours]
     rings = [polygon for polygon in polygons if len(polygon) >= 3]
     sharp = [_find_corners(ring, element_size) for ring in rings]
-    return OutlinedHole(tuple(PolygonalHole(ring) for ring in rings), np.concatenate([np.zeros((0, 2)), *sharp]))
+    return OutlinedHole(tuple(Polygon(ring) for ring in rings), np.concatenate([np.zeros((0, 2)), *sharp]))
 
 
 def _find_corners(ring: Array, element_size: float) -> Array:

@@ -102,7 +102,8 @@ class Mesh:
 
     def __repr__(self) -> str:
         kinds = ", ".join(f"{len(block.cells)} {block.type.name}" for block in self.cell_blocks)
-        sets = f", node sets {', '.join(self.node_sets)}" if self.node_sets else ""
+        named = [name for name, nodes in self.node_sets.items() if len(nodes)]
+        sets = f", node sets {', '.join(named)}" if named else ""
         return f"<ddic.Mesh: {self.n_nodes} nodes, {self.n_cells} cells ({kinds}){sets}>"
 
     @property

@@ -135,3 +135,26 @@ def is_inside_polygon(points: Array, polygon: Array) -> BoolArray:
         crosses = (y0 <= y) != (y1 <= y)
         inside ^= crosses & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
     return inside
+
+
+def is_simple_polygon(vertices: Array) -> bool:
+    """Tell whether sides of a closed polygon, (n, 2), no vertex twice in a row, meet at their common vertex only."""
+    starts, ends = vertices, np.roll(vertices, -1, axis=0)
+    sides = ends - starts
+    following = np.roll(sides, -1, axis=0)
+    runs_back = (multiply_across(sides, following) == 0) & ((sides * following).sum(axis=1) < 0)
+    if runs_back.any():
+        return False
+    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+    for k in range(len(vertices) - 2):
+        # Later sides but the neighbours; the last one is a neighbour of the first.
+        others = slice(k + 2, len(vertices) - (k == 0))
+        # Their ends lie on both sides of this one or on it, and the other way round.
+        parts = (multiply_across(sides[k], starts[others] - starts[k])
+                 * multiply_across(sides[k], ends[others] - starts[k]) <= 0)
+        is_parted = (multiply_across(sides[others], starts[k] - starts[others])
+                     * multiply_across(sides[others], ends[k] - starts[others]) <= 0)
+        is_near = ((low[others] <= high[k]) & (high[others] >= low[k])).all(axis=1)
+        if (parts & is_parted & is_near).any():
+            return False
+    return True

@@ -1,19 +1,29 @@
-"""Regular meshes of a rectangle, with holes and masks, along whose outlines the staircase of cells is rounded."""
+"""Regular meshes of a region, with holes and masks, along whose outlines the staircase of cells is rounded."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
+import cv2
 import numpy as np
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.grid import GridLines
-from ddic.mesh.holes import CircularHole, Hole, OutlinedHole, PolygonalHole
+from ddic.mesh.holes import (
+    Outline,
+    OutlinedHole,
+    RegionLike,
+    build_outside,
+    convert_holes,
+    convert_region,
+    require_inside,
+)
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.quality import measure_shape_quality
+from ddic.mesh.topology import find_boundary_facets, find_boundary_sets
 
 SMALLEST_SINE = 0.2
 """Sine of the sharpest or flattest corner (12 or 168 degrees) that moving a node may cause. A larger value keeps better
@@ -30,12 +40,13 @@ BISECTIONS = 50
 
 
 def chop_corners(quads: IntArray, members: Sequence[IntArray], nodes: Array,
-                 holes: Sequence[Hole]) -> tuple[IntArray, IntArray]:
+                 holes: Sequence[Outline]) -> tuple[IntArray, IntArray]:
     """Cut off the corners that stick out into a hole: such a rectangle becomes a triangle.
 
     A node that belongs to one cell only and lies on a hole, as do both its neighbours in the cell, would become a
-    corner of 180 degrees or more once they lie on the outline. ``quads`` are the cells that are left, ``members``, for
-    each hole, the nodes of these that its removed cells share. Gives the rectangles that stay, and the triangles.
+    corner of 180 degrees or more once they lie on the outline, unless it is nearest to a corner of that. ``quads`` are
+    the cells that are left, ``members``, for each hole, the nodes of these that its removed cells share. Gives the
+    rectangles that stay, and the triangles.
     """
     n_cells_of_node = np.bincount(quads.ravel(), minlength=len(nodes))
     triangles = [np.zeros((0, 3), np.int64)]
@@ -43,7 +54,7 @@ def chop_corners(quads: IntArray, members: Sequence[IntArray], nodes: Array,
         on_hole = np.zeros(len(nodes), dtype=bool)
         on_hole[member] = True
         touching = on_hole[quads]
-        alone = n_cells_of_node[quads] == 1
+        alone = (n_cells_of_node[quads] == 1) & ~np.isin(quads, _find_nearest_nodes(hole, member, nodes))
         tips = touching & alone & np.roll(touching, 1, axis=1) & np.roll(touching, -1, axis=1)
         # A cell with all four nodes on the hole has no side left to keep.
         chosen = np.flatnonzero((tips.sum(axis=1) == 1) & (touching.sum(axis=1) == 3))
@@ -58,31 +69,36 @@ def chop_corners(quads: IntArray, members: Sequence[IntArray], nodes: Array,
     return quads, np.concatenate(triangles)
 
 
-def snap_to_holes(mesh: Mesh, members: Sequence[IntArray], holes: Sequence[Hole],
-                  region: Sequence[float]) -> tuple[Array, list[IntArray]]:
-    """Move the nodes around each hole onto its outline where the cells stay convex and well shaped.
+def _find_nearest_nodes(hole: Outline, member: IntArray, nodes: Array) -> IntArray:
+    """The nearest of some nodes to each corner of a hole in the box of all nodes."""
+    if not isinstance(hole, OutlinedHole) or not len(member):
+        return np.zeros(0, np.int64)
+    corners = hole.corners[_is_between_sides(hole.corners, [*nodes.min(axis=0), *nodes.max(axis=0)])]
+    nearest = np.linalg.norm(nodes[member, None] - corners, axis=2).argmin(axis=0)
+    return np.asarray(member[nearest])
 
-    Nodes on a side of the region (x0, y0, x1, y1) slide along it; its four corners stay. Where a cell would become too
-    flat, its moved nodes go back half of their way, and in the end all of it. ``members`` are, for each hole, the nodes
-    that its removed cells share with others. Gives all nodes, pixels, and for each hole its own, moved or not.
+
+def find_targets(mesh: Mesh, members: Sequence[IntArray], holes: Sequence[Outline], box: Sequence[float]) -> Array:
+    """Find where the nodes around holes are to go: the nearest places on the outlines; those of all nodes, pixels.
+
+    Nodes on a side of the box (x0, y0, x1, y1) slide along it; its four corners stay. ``members`` are, for each hole,
+    the nodes that its removed cells share with others.
     """
-    if not holes:
-        return mesh.nodes, []
     used = np.unique(mesh.connectivity)
     on_holes = _nearest_hole([np.intersect1d(member, used) for member in members], mesh.nodes, holes)
     target = mesh.nodes.copy()
     for member, hole in zip(on_holes, holes, strict=True):
-        target[member] = _on_outline(mesh.nodes[member], hole, region)
+        target[member] = _on_outline(mesh.nodes[member], hole, box)
     for member, hole in zip(on_holes, holes, strict=True):
         if isinstance(hole, OutlinedHole):
-            # Nodes on a side of the region stay on it.
-            free = member[_is_between_sides(mesh.nodes[member], region)]
-            _take_corners(mesh, target, free, hole.corners[_is_between_sides(hole.corners, region)])
-    return _move_carefully(mesh, target), on_holes
+            # Nodes on a side of the box stay on it.
+            free = member[_is_between_sides(mesh.nodes[member], box)]
+            _take_corners(mesh, target, free, hole.corners[_is_between_sides(hole.corners, box)])
+    return target
 
 
-def _is_between_sides(points: Array, region: Sequence[float]) -> BoolArray:
-    return np.asarray(((points > region[:2]) & (points < region[2:])).all(axis=1))
+def _is_between_sides(points: Array, box: Sequence[float]) -> BoolArray:
+    return np.asarray(((points > box[:2]) & (points < box[2:])).all(axis=1))
 
 
 def _take_corners(mesh: Mesh, target: Array, free: IntArray, corners: Array) -> None:
@@ -105,7 +121,7 @@ def _measure_worst(mesh: Mesh, target: Array, node: int, place: Array) -> float:
     return float(measure_shape_quality(replace(about, nodes=moved)).min(initial=np.inf))
 
 
-def _nearest_hole(members: list[IntArray], nodes: Array, holes: Sequence[Hole]) -> list[IntArray]:
+def _nearest_hole(members: list[IntArray], nodes: Array, holes: Sequence[Outline]) -> list[IntArray]:
     """Give nodes that several holes touch to the hole whose outline is nearest."""
     away = np.full((len(holes), len(nodes)), np.inf)
     for k, (member, hole) in enumerate(zip(members, holes, strict=True)):
@@ -114,9 +130,9 @@ def _nearest_hole(members: list[IntArray], nodes: Array, holes: Sequence[Hole]) 
     return [member[owner[member] == k] for k, member in enumerate(members)]
 
 
-def _on_outline(points: Array, hole: Hole, region: Sequence[float]) -> Array:
-    """Nearest points of the outline; for points on a side of the region, along that side."""
-    x0, y0, x1, y1 = region
+def _on_outline(points: Array, hole: Outline, box: Sequence[float]) -> Array:
+    """Nearest points of the outline; for points on a side of the box, along that side."""
+    x0, y0, x1, y1 = box
     moved = hole.find_nearest(points)
     on_vertical = np.isin(points[:, 0], (x0, x1))
     on_horizontal = np.isin(points[:, 1], (y0, y1))
@@ -127,7 +143,7 @@ def _on_outline(points: Array, hole: Hole, region: Sequence[float]) -> Array:
     return np.clip(moved, [x0, y0], [x1, y1])
 
 
-def _along_axis(points: Array, hole: Hole, axis: int) -> Array:
+def _along_axis(points: Array, hole: Outline, axis: int) -> Array:
     """Slide points along an axis onto the outline, by bisection; those that cannot get there stay."""
     direction = np.zeros(2)
     direction[axis] = 1.0
@@ -147,7 +163,10 @@ def _along_axis(points: Array, hole: Hole, axis: int) -> Array:
 
 
 def _move_carefully(mesh: Mesh, target: Array) -> Array:
-    """Move nodes towards their targets as far as all cells keep their shape."""
+    """Move nodes towards their targets where the cells stay convex and well shaped; gives all nodes, pixels.
+
+    Where a cell would become too flat, its moved nodes go back half of their way, and in the end all of it.
+    """
     fraction = np.ones(mesh.n_nodes)
     fraction[(target == mesh.nodes).all(axis=1)] = 0.0
     while True:
@@ -161,26 +180,34 @@ def _move_carefully(mesh: Mesh, target: Array) -> Array:
         fraction[blamed] = np.where(can_halve, fraction[blamed] / 2, 0.0)
 
 
+NAME = "mesh.structured"
+"""What messages call the mesh."""
+
 MOST_CELLS = 1e9
 """Cells of a mesh: more than any image has pixels, and fewer than overflow a count."""
 
+SMALLEST_PIECE = 0.05
+"""Share of a region's cells above which a piece of several that no side joins to the rest is refused; smaller ones, at
+tips, are left out. A larger value may lose what was to be measured."""
 
-def build_structured_mesh(region: Sequence[float], element_size: float, cell: Literal["Q4", "T3"] = "Q4",
+
+def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal["Q4", "T3"] = "Q4",
                     circles: Sequence[tuple[tuple[float, float], float]] = (),
                     polygons: Sequence[Array | OutlinedHole] = (),
                     mask: BoolArray | None = None) -> Mesh:
-    """Mesh a rectangle by regular cells that cover it exactly.
+    """Mesh a region by regular cells.
 
     A cell is removed if its centre lies in a hole, then the nodes around the hole are moved onto its outline; where the
-    hole meets a cell at a corner, that corner is cut off, so that a Q4 mesh with holes holds some T3.
+    hole meets a cell at a corner, that corner is cut off, so that a Q4 mesh with holes holds some T3. All around a
+    circle or a polygon is a hole too.
 
     Parameters
     ----------
-    region : (x0, y0, x1, y1)
-        Pixels.
+    region : (x0, y0, x1, y1), (centre, radius) or (n, 2) array
+        A box, which cells cover exactly, a circle, or the vertices of a polygon; pixels.
     element_size : float
-        Pixels; there are round(side / element_size) cells along a side, at least one, so that cells are stretched
-        slightly where the size does not divide the side.
+        Pixels; there are round(side / element_size) cells along a side of the region's box, at least one, so that cells
+        are stretched slightly where the size does not divide the side.
     cell : {"Q4", "T3"}
         T3 with alternating diagonals.
     circles : sequence of (centre, radius)
@@ -193,45 +220,56 @@ def build_structured_mesh(region: Sequence[float], element_size: float, cell: Li
     Returns
     -------
     Mesh
-        With node sets left, right, top, bottom (of the region), and hole_0, hole_1, ... (circles, then polygons).
+        With node sets left, right, top, bottom, by where the outer boundary faces, and hole_0, hole_1, ... (circles,
+        polygons, then what the mask leaves out inside).
 
     Raises
     ------
     InputError
-        Where an argument is impossible, a hole removes no cell, or no cell is left.
+        Where an argument is impossible, a hole removes no cell or leaves a region that is no box, or no cell is left.
     """
-    _refuse_impossible(region, element_size, cell, mask)
-    grid = build_grid_lines(region, element_size)
-    holes: list[Hole] = [CircularHole(center, radius) for center, radius in circles]
-    holes += [outline if isinstance(outline, OutlinedHole) else PolygonalHole(np.asarray(outline, dtype=np.float64))
-              for outline in polygons]
-    in_holes = [_cells_in_hole(grid, hole, k) for k, hole in enumerate(holes)]
+    outline = convert_region(region, NAME)
+    box: Any = region if outline is None else outline.box
+    refuse_impossible(box, element_size, cell, NAME)
+    if mask is not None and np.ndim(mask) != 2:
+        raise InputError(f"{NAME}: a mask of shape {np.shape(mask)}, (height, width) expected")
+    grid, around = build_grid_lines(box, element_size), []
+    declared = convert_holes(circles, [hole for hole in polygons if not isinstance(hole, OutlinedHole)], NAME)
+    outlined = [hole for hole in polygons if isinstance(hole, OutlinedHole)]
+    if outline is not None:
+        require_inside(declared, outline, element_size / 4, NAME)
+        grid, around = grid.pad(), [build_outside(outline, element_size)]
+    in_declared = [_cells_in_hole(grid, hole, k) for k, hole in enumerate(declared)]
+    by_outline = [_cells_in_hole(grid, hole, k) for k, hole in enumerate(outlined)]
+    outside = [_cells_outside(grid, hole) for hole in around]
+    in_holes = [*in_declared, *by_outline, *outside]
     kept = _kept_cells(grid, in_holes, mask)
-    members = [np.intersect1d(grid.quads[kept], grid.quads[inside]) for inside in in_holes]
-    quads, triangles = chop_corners(grid.quads[kept], members, grid.nodes, holes)
-    if cell == "T3":
-        halves = _split_quads(quads, len(grid.x))
-        quads, triangles = quads[:0], np.concatenate([halves, triangles])
-    # After the split, so that the cells whose shape is watched are those of the mesh.
-    mesh = build_mesh(grid.nodes, {Q4: quads, T3: triangles})
-    nodes, on_holes = snap_to_holes(mesh, members, holes, region)
-    sets = grid.sides | {f"hole_{k}": found for k, found in enumerate(on_holes)}
-    # Without the nodes that no cell uses any more.
-    return replace(mesh, nodes=nodes, node_sets=sets).create_submesh(np.arange(mesh.n_cells))[0]
+    members = _find_members(grid, in_holes, kept)
+    mesh = _cut_cells(grid, kept, [*declared, *outlined, *around], members, cell, splits_flat=bool(around))
+    sets = grid.sides
+    if not kept.all():
+        by_mask = ~np.logical_or.reduce([kept, *in_declared, *outside])
+        inner = [*members[:len(declared)], *_list_mask_holes(grid, kept, by_mask)]
+        has_its_sides = mask is None and not (outlined or around)
+        sets = _name_boundary(mesh, grid, kept, inner) | (sets if has_its_sides else {})
+    # Without the nodes that no cell uses any more, and the sets that this leaves empty.
+    mesh = replace(mesh, node_sets=sets).create_submesh(np.arange(mesh.n_cells))[0]
+    return replace(mesh, node_sets={name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)})
 
 
-def _refuse_impossible(region: Sequence[float], element_size: float, cell: str, mask: BoolArray | None) -> None:
-    """Refuse arguments of which no mesh can be made; case files say them with types and ranges of their own."""
-    given = f"mesh.structured: region = {region}, element_size = {element_size}"
-    numbers = np.asarray([*region, element_size])
-    if len(region) != 4 or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+def refuse_impossible(box: Sequence[float], element_size: float, cell: str, name: str) -> None:
+    """Refuse, by an InputError, arguments of which no mesh can be made; ``name`` is what it calls the mesh.
+
+    Case files say them with types and ranges of their own.
+    """
+    given = f"{name}: region = {box}, element_size = {element_size}"
+    numbers = np.asarray([*box, element_size])
+    if len(box) != 4 or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
         raise InputError(f"{given}: expected (x0, y0, x1, y1) and a size, finite numbers of pixels")
-    if not (region[0] < region[2] and region[1] < region[3] and element_size > 0):
+    if not (box[0] < box[2] and box[1] < box[3] and element_size > 0):
         raise InputError(f"{given}: expected x0 < x1, y0 < y1 and a size above 0")
     if cell not in ("Q4", "T3"):
-        raise InputError(f'mesh.structured: cell = "{cell}": expected "Q4" or "T3"')
-    if mask is not None and np.ndim(mask) != 2:
-        raise InputError(f"mesh.structured: a mask of shape {np.shape(mask)}, (height, width) expected")
+        raise InputError(f'{name}: cell = "{cell}": expected "Q4" or "T3"')
 
 
 def build_grid_lines(region: Sequence[float], element_size: float) -> GridLines:
@@ -241,17 +279,18 @@ def build_grid_lines(region: Sequence[float], element_size: float) -> GridLines:
     return GridLines(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
 
 
-def count_cells(region: Sequence[float], element_size: float) -> tuple[int, int]:
+def count_cells(region: Sequence[float], element_size: float, name: str = NAME) -> tuple[int, int]:
     """Count the columns and rows of cells that cover a region (x0, y0, x1, y1), pixels, before there are any.
 
-    There is one of each at least. Raises InputError where there are more than MOST_CELLS cells in all.
+    There is one of each at least. Raises InputError where there are more than MOST_CELLS cells in all; ``name`` is what
+    it calls the mesh.
     """
     x0, y0, x1, y1 = (float(side) for side in region)
     with np.errstate(over="ignore"):
         along = np.array([x1 - x0, y1 - y0]) / element_size
         n_cells = np.maximum(along, 1.0).prod()
     if not n_cells <= MOST_CELLS:
-        raise InputError(f"mesh.structured: element_size = {element_size:g} on region = [{x0:g}, {y0:g}, {x1:g}, "
+        raise InputError(f"{name}: element_size = {element_size:g} on region = [{x0:g}, {y0:g}, {x1:g}, "
                          f"{y1:g}] asks for {n_cells:.3g} elements, more than {MOST_CELLS:.0e}; give larger elements, "
                          "in pixels")
     n_columns, n_rows = (max(1, round(float(sides))) for sides in along)
@@ -268,7 +307,7 @@ def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: BoolArray 
     return kept
 
 
-def _cells_in_hole(grid: GridLines, hole: Hole, number: int) -> BoolArray:
+def _cells_in_hole(grid: GridLines, hole: Outline, number: int) -> BoolArray:
     """Cells whose centres lie in a hole."""
     inside = hole.measure_distance(grid.centroids) < 0
     # What a mask leaves out may be smaller than a cell; a hole that was asked for may not.
@@ -294,10 +333,118 @@ def _cells_in_mask(grid: GridLines, mask: BoolArray) -> BoolArray:
     return kept.ravel()
 
 
-def _split_quads(quads: IntArray, wide: int) -> IntArray:
-    """Split rectangles into triangles; the diagonals alternate like the fields of a chessboard."""
-    row, column = np.divmod(quads[:, 0], wide)
-    even = (row + column) % 2 == 0
-    turned = np.where(even[:, None], quads, np.roll(quads, -1, axis=1))
-    halves = turned[:, [0, 1, 2, 0, 2, 3]]
-    return halves.reshape(-1, 3)
+def _find_members(grid: GridLines, in_holes: Sequence[BoolArray], kept: BoolArray) -> list[IntArray]:
+    """For each hole the nodes that its cells share with those that are kept."""
+    quads = grid.quads
+    return [np.intersect1d(quads[kept], quads[inside]) for inside in in_holes]
+
+
+def _cut_cells(grid: GridLines, kept: BoolArray, holes: Sequence[Outline], members: Sequence[IntArray], cell: str,
+               *, splits_flat: bool) -> Mesh:
+    """The mesh of the cells that are kept, with all nodes of the grid, those around holes on the outlines."""
+    quads, triangles = chop_corners(grid.quads[kept], members, grid.nodes, holes)
+    if not holes:
+        return _build_cells(grid, quads, triangles, cell)
+    if splits_flat:
+        target = find_targets(_build_cells(grid, quads, triangles, "Q4"), members, holes, grid.box)
+        mesh = _build_cells(grid, quads, triangles, cell, target)
+    else:
+        # After the split, so that the cells whose shape is watched are those of the mesh.
+        mesh = _build_cells(grid, quads, triangles, cell)
+        target = find_targets(mesh, members, holes, grid.box)
+    return replace(mesh, nodes=_move_carefully(mesh, target))
+
+
+def _cells_outside(grid: GridLines, outside: OutlinedHole) -> BoolArray:
+    """Cells to remove around a region: those whose centres lie outside, and those that hang on the rest by no side.
+
+    Of cells that reach outside those too that would be flat on the region's outline, as happens in its corners.
+    """
+    outer = ~_keep_largest_piece(outside.measure_distance(grid.centroids) > 0, grid)
+    reaches_out = (outside.measure_distance(grid.nodes) < 0)[grid.quads].any(axis=1)
+    while True:
+        members = _find_members(grid, [outer], ~outer)
+        quads, triangles = chop_corners(grid.quads[~outer], members, grid.nodes, [outside])
+        target = find_targets(_build_cells(grid, quads, triangles, "Q4"), members, [outside], grid.box)
+        is_flat = _measure_sines(quads, grid.nodes, target)[1:].max(axis=0) < SMALLEST_SINE
+        spoilt = reaches_out & ~outer & np.isin(grid.quads[:, 0], quads[is_flat, 0])
+        if not spoilt.any():
+            return outer
+        outer = ~_keep_largest_piece(~(outer | spoilt), grid)
+
+
+def _keep_largest_piece(inside: BoolArray, grid: GridLines) -> BoolArray:
+    """The cells of a region without those that no side joins to most of them; InputError where these are many."""
+    by_row = inside.reshape(len(grid.y) - 1, -1).astype(np.uint8)
+    _, labels, sizes, _ = cv2.connectedComponentsWithStats(by_row, connectivity=4)
+    n_cells = np.append(sizes[1:, cv2.CC_STAT_AREA], 0)
+    if n_cells.max() == 0:
+        raise InputError(f"{NAME}.region: holds no element: it is too narrow for element_size; use smaller elements")
+    if np.sort(n_cells)[-2] > max(1, SMALLEST_PIECE * inside.sum()):
+        raise InputError(f"{NAME}.region: falls into {(n_cells > 0).sum()} pieces where it is narrower than "
+                         "element_size; use smaller elements")
+    return np.asarray(labels.ravel() == 1 + n_cells.argmax())
+
+
+def _list_mask_holes(grid: GridLines, kept: BoolArray, by_mask: BoolArray) -> list[IntArray]:
+    """Nodes of the cells of each hole that a mask makes inside, from top to bottom.
+
+    ``by_mask`` are the cells that are left out for the mask alone.
+    """
+    cut_out = np.pad(~kept.reshape(len(grid.y) - 1, -1), 1, constant_values=True).astype(np.uint8)
+    labels = cv2.connectedComponents(cut_out, connectivity=8)[1]
+    outer, of_cells = labels[0, 0], labels[1:-1, 1:-1].ravel()
+    inside = by_mask & (of_cells != outer)
+    quads, of_quads = grid.quads[inside], of_cells[inside]
+    return [np.unique(quads[of_quads == number]) for number in dict.fromkeys(of_quads.tolist())]
+
+
+def _name_boundary(mesh: Mesh, grid: GridLines, kept: BoolArray, of_holes: Sequence[IntArray]) -> dict[str, IntArray]:
+    """Name the nodes of the boundary; only the cells about it are looked at."""
+    quads = grid.quads
+    is_used, is_at_edge = np.zeros((2, grid.n_nodes), dtype=bool)
+    is_used[quads[kept]] = True
+    is_at_edge[quads[~kept]] = True
+    for side in grid.sides.values():
+        is_at_edge[side] = True
+    about, node_ids = mesh.create_submesh(mesh.find_cells_around(is_used & is_at_edge))
+    facets = node_ids[find_boundary_facets(about)]
+    # Other facets at the edge of these cells lie inside.
+    return find_boundary_sets(mesh.nodes, facets[is_at_edge[facets].all(axis=1)], of_holes)
+
+
+def _build_cells(grid: GridLines, quads: IntArray, triangles: IntArray, cell: str, target: Array | None = None) -> Mesh:
+    """Build the mesh of rectangles and triangles of a grid, rectangles split for T3.
+
+    The diagonals alternate like the fields of a chessboard. With a target of the nodes, the other one is taken where a
+    triangle would be too flat there, and a rectangle that would be is split.
+    """
+    row, column = np.divmod(quads[:, 0], len(grid.x))
+    is_turned = (row + column) % 2 == 1
+    is_split = np.full(len(quads), cell == "T3")
+    if target is not None:
+        whole, *halves = _measure_sines(quads, grid.nodes, target)
+        own, other = np.where(is_turned, halves[::-1], halves)
+        is_turned ^= (own < SMALLEST_SINE) & (other > own)
+        # Triangles tell of short sides too.
+        is_split |= np.minimum(whole, np.maximum(own, other)) < SMALLEST_SINE
+    split = _halve(quads[is_split], is_turned[is_split])
+    return build_mesh(grid.nodes, {Q4: quads[~is_split], T3: np.concatenate([split, triangles])})
+
+
+def _halve(quads: IntArray, is_turned: BoolArray) -> IntArray:
+    """Halve rectangles along the diagonal from their first node, or along the other one where that is turned."""
+    from_diagonal = np.where(is_turned[:, None], np.roll(quads, -1, axis=1), quads)
+    return from_diagonal[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+
+
+def _measure_sines(quads: IntArray, nodes: Array, target: Array) -> Array:
+    """Least sine of the corners of rectangles whose nodes have moved, and of both halves by either diagonal, (3, n)."""
+    sines = np.ones((3, len(quads)))
+    is_moved = (nodes != target).any(axis=1)[quads].any(axis=1)
+    moved = quads[is_moved]
+    sines[0, is_moved] = measure_shape_quality(build_mesh(target, {Q4: moved}))
+    for k, turned in enumerate((False, True), start=1):
+        halves = build_mesh(target, {T3: _halve(moved, np.full(len(moved), turned))})
+        sines[k, is_moved] = measure_shape_quality(halves).reshape(-1, 2).min(axis=1)
+    return sines

@@ -12,6 +12,9 @@ from ddic.errors import InputError
 from ddic.mesh.cell_parts import find_offsets
 from ddic.mesh.mesh import Mesh
 
+SLACK = 1e-6
+"""Share by which the normal of a facet of left or right may point more up or down than sideways: rounding."""
+
 
 @dataclass(frozen=True)
 class Facets:
@@ -56,6 +59,27 @@ def find_boundary_nodes(mesh: Mesh) -> IntArray:
     """Find the nodes on facets that belong to exactly one cell, sorted."""
     nodes = np.unique(find_boundary_facets(mesh))
     return nodes[nodes >= 0]
+
+
+def find_boundary_sets(nodes: Array, facets: IntArray, holes: Sequence[IntArray]) -> dict[str, IntArray]:
+    """Name the nodes of a plane mesh's boundary facets, (n, 2), which run as their cells do, positively.
+
+    A facet is in the set hole_k of the first of ``holes`` that holds both of its nodes, else in left, right, top or
+    bottom, by the quadrant that its outward normal points to; y points down. Sets are sorted, none is empty.
+    """
+    is_outer = np.ones(len(facets), dtype=bool)
+    of_holes = {}
+    for number, members in enumerate(holes):
+        is_here = is_outer & np.isin(facets, members).all(axis=1)
+        of_holes[f"hole_{number}"] = is_here
+        is_outer &= ~is_here
+    along = nodes[facets[:, 1]] - nodes[facets[:, 0]]
+    # The normal is (dy, -dx). Rounding does not decide where it points between two quadrants.
+    is_upright = np.abs(along[:, 1]) >= np.abs(along[:, 0]) * (1 - SLACK)
+    named = {"left": is_outer & is_upright & (along[:, 1] < 0), "right": is_outer & is_upright & (along[:, 1] > 0),
+             "top": is_outer & ~is_upright & (along[:, 0] > 0), "bottom": is_outer & ~is_upright & (along[:, 0] < 0),
+             **of_holes}
+    return {name: np.unique(facets[is_here]) for name, is_here in named.items() if is_here.any()}
 
 
 def find_adjacent_cells(mesh: Mesh) -> tuple[IntArray, IntArray]:
@@ -124,14 +148,15 @@ def _sort(keys: IntArray) -> IntArray:
 
 def find_named_nodes(mesh: Mesh, name: str) -> IntArray:
     """Look up a node set: sorted nodes; raises InputError where it is empty or unknown, then with the nearest name."""
-    if name not in mesh.node_sets:
-        near = get_close_matches(name, list(mesh.node_sets), n=1)
-        known = ", ".join(f'"{key}"' for key in sorted(mesh.node_sets)) or "none"
-        hint = f'did you mean "{near[0]}"?' if near else f"the mesh has: {known}; other nodes by regularization.boxes"
-        raise InputError(f'no node set is named "{name}"; {hint}')
-    if len(mesh.node_sets[name]) == 0:
-        raise InputError(f'the node set "{name}" holds no node of the mesh; leave it out')
-    return mesh.node_sets[name]
+    sets = {key: nodes for key, nodes in sorted(mesh.node_sets.items()) if len(nodes)}
+    if name in sets:
+        return sets[name]
+    is_empty = name in mesh.node_sets
+    problem = f'the node set "{name}" holds no node of the mesh' if is_empty else f'no node set is named "{name}"'
+    near = get_close_matches(name, sets, n=1)
+    hint = f'did you mean "{near[0]}"? The' if near else "the"
+    known = ", ".join(f'"{key}"' for key in sets) or "none"
+    raise InputError(f"{problem}; {hint} mesh has: {known}")
 
 
 def _find_nodes_in_box(mesh: Mesh, box: Sequence[float]) -> IntArray:
@@ -167,7 +192,8 @@ def find_not_controlled_nodes(mesh: Mesh, names: Sequence[str], boxes: Sequence[
             else:
                 chosen.append(find_named_nodes(mesh, name))
         except InputError as error:
-            problems += [f"regularization.not_controlled: {line}" for line in error.problems]
+            problems += [f"regularization.not_controlled: {line}; other nodes are chosen by regularization.boxes"
+                         for line in error.problems]
     for box in boxes:
         try:
             chosen.append(_find_nodes_in_box(mesh, box))

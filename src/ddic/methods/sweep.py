@@ -91,11 +91,11 @@ def set_resolution(case: Case, element_size: float | None, wavelength: float) ->
 
 
 def list_element_sizes(case: Case) -> list[float | None]:
-    """List element sizes about that of a case, pixels, its own first; None alone where a file brings the elements."""
+    """List element sizes about that of a case, pixels, its own first; None alone without [mesh.structured]."""
     if case.mesh.structured is None:
         return [None]
     own = case.mesh.structured.element_size
-    x0, y0, x1, y1 = case.mesh.structured.region
+    x0, y0, x1, y1 = case.mesh.structured.box
     sizes = [_round(own * factor) for factor in ELEMENT_FACTORS]
     return [own, *(size for size in sizes if size != own and size <= min(x1 - x0, y1 - y0))]
 

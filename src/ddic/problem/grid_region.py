@@ -43,7 +43,7 @@ class GridRegion:
         start, section = self.inputs.case.start, self.inputs.case.mesh.structured
         is_given = start.from_result is not None or start.from_points is not None or start.points is not None
         if is_given and section is not None:
-            mesh = build_structured_mesh(section.region, section.element_size)
+            mesh = build_structured_mesh(section.box, section.element_size)
         else:
             mesh = self.grid.build_outline()
         return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddic.arrays import Array, BoolArray
-from ddic.case.schema import Case, RegularizationSection
+from ddic.case.schema import Case, RegionSection, RegularizationSection
 from ddic.errors import InputError, as_collective
 from ddic.functionals.regularization import find_cut_off_weight, find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
@@ -88,7 +88,10 @@ def build_rectangle(case: Case) -> Rectangle:
     """
     section = case.mesh.structured
     if section is None:
-        raise InputError("mesh.file: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
+        key = "mesh.file" if case.mesh.unstructured is None else "mesh.unstructured"
+        raise InputError(f"{key}: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
+    if isinstance(section.region, RegionSection):
+        raise InputError("mesh.structured.region: [pgd] measures whole rectangles; give [x0, y0, x1, y1]")
     if section.cell != "Q4":
         raise InputError(f'mesh.structured.cell = "{section.cell}": [pgd] measures on "Q4" elements; leave the key out')
     given = [key for key in ("circles", "polygons", "mask") if getattr(section, key)]
@@ -98,8 +101,8 @@ def build_rectangle(case: Case) -> Rectangle:
     if section.element_size < SMALLEST_ELEMENT:
         raise InputError(f"mesh.structured.element_size = {section.element_size:g}: smaller than a pixel; give "
                          f"{SMALLEST_ELEMENT:g} or more")
-    x0, y0, x1, y1 = section.region
-    n_x, n_y = count_cells(section.region, section.element_size)
+    x0, y0, x1, y1 = section.box
+    n_x, n_y = count_cells(section.box, section.element_size)
     return Rectangle(LineElements(np.linspace(x0, x1, n_x + 1)), LineElements(np.linspace(y0, y1, n_y + 1)))
 
 
