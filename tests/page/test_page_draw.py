@@ -275,9 +275,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "a circle without a radius": ("circles = [{ center = [96, 96] }]", "circles[0].radius: this key is missing"),
     "two vertices": ("polygons = [{ vertices = [[60, 60], [120, 120]] }]", "polygons[0].vertices"),
     "the same vertex twice": (
-        "polygons = [{ vertices = [[60, 60], [60, 60], [60, 60]] }]", "hole_0 holds the centre of no cell"),
+        "polygons = [{ vertices = [[60, 60], [60, 60], [60, 60]] }]", "polygons[0]: the polygon crosses or touches"),
     "vertices on a line": (
-        "polygons = [{ vertices = [[60, 60], [80, 80], [100, 100]] }]", "hole_0 holds the centre of no cell"),
+        "polygons = [{ vertices = [[60, 60], [80, 80], [100, 100]] }]", "polygons[0]: the polygon crosses or touches"),
     "a vertex that is no number": ('polygons = [{ vertices = [[60, "a"], [80, 80], [100, 60]] }]', "polygons[0]"),
     "nan": ("circles = [{ center = [nan, 96], radius = 5 }]", "circles[0].center"),
     "infinity": ("circles = [{ center = [inf, 96], radius = 5 }]", "circles[0].center"),
