@@ -346,8 +346,8 @@ class _DrawPage:
             self._file.write(self.text.value)
             if self.probes.text.value != (self._probes_file.text or ""):
                 self._probes_file.write(self.probes.text.value)
-                done.append(f"{n_probes} probes were written to {probes.absolute()}, for ddic probe RESULT --probes "
-                            f"{probes.name}")
+                done.append(f"the probes ({n_probes}) were written to {probes.absolute()}, for ddic probe RESULT "
+                            f"--probes {probes.name}")
         except (InputError, OSError) as error:
             self._tell([str(error)])
             return False
