@@ -341,9 +341,6 @@ def test_what_is_added_stands_where_a_person_would_write_it() -> None:
     assert lines[lines.index("[regularization]") - 1] == ""
 
 
-ABOUT = 'title = """\n[mesh.structured]\n"""\n'
-
-
 @pytest.mark.parametrize(("text", "changed"), [
     ("[mesh.structured] # a\nregion = [1]\n[[mesh.structured.circles]]\nradius = 1\n",
      "[mesh.unstructured] # a\nregion = [1]\n[[mesh.unstructured.circles]]\nradius = 1\n"),
@@ -357,7 +354,7 @@ def test_another_maker_of_the_mesh_changes_headers_alone(text: str, changed: str
 
 @pytest.mark.parametrize("text", [
     "mesh = 3\n", "title = 'a'\n", "[mesh]\nfile = 'm.msh'\n", "[mesh]\nstructured = { region = [1] }\n",
-    f"{ABOUT}[mesh.structured]\ncell = 'T3'\n", "[mesh.structured]\ncell = 'T3'\n[mesh.mapping]\nscale = 2\n"])
+    "[mesh.structured]\ncell = 'T3'\n[mesh.mapping]\nscale = 2\n"])
 def test_a_mesh_of_another_make_is_left_to_its_author(text: str) -> None:
     with pytest.raises(InputError, match=r"mesh: no section \[mesh\.structured\] or"):
         set_mesh(text, "unstructured")

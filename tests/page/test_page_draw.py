@@ -183,6 +183,11 @@ def test_the_maker_of_the_mesh_is_chosen(open_draw: OpenDraw, folder: Path) -> N
     tab.widget("Mesh").value = "structured"
     assert "no section [mesh.structured] or [mesh.unstructured] alone describes it" in problems(tab)
     assert tab.widget("Mesh").value == ""
+    text_area(tab, folder).value = gmsh_text() + "broken ["
+    tab.settle()
+    tab.enter("Mesh", "structured")
+    assert text_of(tab, folder) == gmsh_text() + "broken ["
+    assert tab.widget("Mesh").value == ""
 
 
 def test_where_gmsh_is_not_installed_a_line_says_what_to_install(

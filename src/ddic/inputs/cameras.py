@@ -7,7 +7,7 @@ import numpy as np
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.named_files import list_cameras, list_deformed
-from ddic.case.schema import Case, ImagesSection, NearSection
+from ddic.case.schema import Case, NearSection
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.source import ImageSource
@@ -108,12 +108,8 @@ def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
 
     ``number`` is that of the frame of a series, from 0. Raises InputError where a file cannot be read.
     """
-    return tuple(_open_deformed(section, number, opener) for section in list_cameras(case))
-
-
-def _open_deformed(section: ImagesSection | NearSection, number: int, opener: Opener) -> MaskedSource:
-    image = opener(list_deformed(section)[number])
-    return exclude_masked(image, section, None if section.deformed_mask is None else opener(section.deformed_mask))
+    return tuple(exclude_masked(opener(list_deformed(section)[number]), section, section.deformed_mask, opener)
+                 for section in list_cameras(case))
 
 
 def _make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:

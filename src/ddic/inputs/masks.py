@@ -19,18 +19,19 @@ Opener = Callable[[Path], ImageSource]
 """Opens an image file."""
 
 
-def exclude_masked(image: ImageSource, section: ImagesSection | NearSection, mask: ImageSource | None) -> MaskedSource:
-    """Leave out of one of a section's images what is saturated, if that is asked for, and what a mask hides."""
+def exclude_masked(image: ImageSource, section: ImagesSection | NearSection, mask: Path | None, opener: Opener,
+                   shapes: Sequence[Shape] = ()) -> MaskedSource:
+    """Leave out of one of a section's images what is saturated, if asked for, and what a mask and shapes hide."""
     saturated_from = None
     if section.exclude_saturated:
         saturated_from = find_saturation(image) if section.saturation is None else section.saturation
-    return MaskedSource(image, mask, saturated_from)
+    below = None if mask is None else opener(mask)
+    return MaskedSource(image, draw_mask(shapes, image.extent, "masked", below), saturated_from)
 
 
 def exclude_from_reference(image: ImageSource, section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:
-    """Leave out of a section's reference image also what its shapes mask."""
-    painted = None if section.reference_mask is None else opener(section.reference_mask)
-    return exclude_masked(image, section, draw_mask(section.masked, image.extent, "masked", painted))
+    """The same of a section's reference image."""
+    return exclude_masked(image, section, section.reference_mask, opener, section.masked)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -63,9 +64,6 @@ PROBES = ".probes.toml"
 
 EDGES, TEXTURE, WEAK = "mesh", "texture by element", "nodes of weak texture"
 
-MESHES = [(MESH[1], "regular"), (BY_GMSH[1], "by gmsh")]
-"""Sections of a mesh of a region, and what the page calls them."""
-
 STRENGTHS = (-2.0, 1.0)
 """Decimal logarithms of the texture that colours show, where 0 is that of most of the pattern."""
 
@@ -93,6 +91,8 @@ class _DrawPage:
         self._worker = ThreadPoolExecutor(1)
         self._n_asked = 0
         self.pane = ImagePane(drawn.image, [self._draw])
+        # What the text says, or said before it was broken.
+        self._data: dict[str, Any] = {}
         self._shapes: dict[str, Shape] = {}
         self._make_controls()
         self.probes.text.value = self._probes_file.text or ""
@@ -127,7 +127,7 @@ class _DrawPage:
         self.numbers = TextInput(title="Its points: x, y; x, y; ... (px)", width=430)
         self.remove = Button(label="Remove")
         self.undo = Button(label="Undo")
-        self.mesh = Select(title="Mesh", options=MESHES, width=100)
+        self.mesh = Select(title="Mesh", options=[(MESH[1], "regular"), (BY_GMSH[1], "by gmsh")], width=100)
         self.element_size = NumericInput(title="Element size (px)", mode="float", width=130)
         self.wavelength = NumericInput(title="Cut-off wavelength (px)", mode="float", width=130)
         self.shown = CheckboxGroup(labels=[EDGES, TEXTURE, WEAK], active=[0], inline=True)
@@ -222,15 +222,14 @@ class _DrawPage:
         return Shape(kind, tuple(points), place)
 
     def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
-        if new != _find_number(self.text.value, keys):
+        if new != _find_number(self._data, keys):
             self._change(lambda text: set_number(text, keys, new))
 
     def _choose_mesh(self, name: str) -> None:
-        known = find_mesh(tomllib.loads(self.text.value))
-        if name != known:
+        if name != find_mesh(self._data):
             self._change(lambda text: set_mesh(text, name))
             # Where the text could not be changed.
-            self.mesh.value = find_mesh(tomllib.loads(self.text.value))
+            self.mesh.value = find_mesh(self._data)
 
     def _change(self, change: Callable[[str], str]) -> None:
         try:
@@ -241,22 +240,19 @@ class _DrawPage:
     def _follow_text(self) -> None:
         """Draw what the text says, and have it checked; of texts that follow one another fast, the last one."""
         text = self.text.value
-        try:
-            data = tomllib.loads(text)
-        except (ValueError, RecursionError):
-            data = None
-        if data is not None:
-            self._shapes = {shape.name: shape for shape in list_shapes(data)}
-            outlines = [shape.outline for shape in self._shapes.values()]
-            self._lines.data = {"xs": [outline[:, 0].tolist() for outline in outlines],
-                                "ys": [outline[:, 1].tolist() for outline in outlines]}
-            self.chosen.options = list(self._shapes)
-            if self.chosen.value not in self._shapes:
-                self.chosen.value = next(iter(self._shapes), "")
-            self._show_numbers()
-            self.mesh.value = find_mesh(data)
-            self.element_size.value = _find_number(text, (*MESH, "element_size"))
-            self.wavelength.value = _find_number(text, ("regularization", "cut_off_wavelength"))
+        with suppress(ValueError, RecursionError):
+            self._data = tomllib.loads(text)
+        self._shapes = {shape.name: shape for shape in list_shapes(self._data)}
+        outlines = [shape.outline for shape in self._shapes.values()]
+        self._lines.data = {"xs": [outline[:, 0].tolist() for outline in outlines],
+                            "ys": [outline[:, 1].tolist() for outline in outlines]}
+        self.chosen.options = list(self._shapes)
+        if self.chosen.value not in self._shapes:
+            self.chosen.value = next(iter(self._shapes), "")
+        self._show_numbers()
+        self.mesh.value = find_mesh(self._data)
+        self.element_size.value = _find_number(self._data, (*MESH, "element_size"))
+        self.wavelength.value = _find_number(self._data, ("regularization", "cut_off_wavelength"))
         self._n_asked += 1
         self._worker.submit(self._check, self._n_asked, text)
 
@@ -377,14 +373,13 @@ def find_mesh(data: Mapping[str, Any]) -> str:
     return name if isinstance(mesh, Mapping) and name in mesh else ""
 
 
-def _find_number(text: str, keys: tuple[str, ...]) -> float | None:
-    """A number of a text; None where there is none."""
+def _find_number(data: Any, keys: tuple[str, ...]) -> float | None:
+    """A number of a parsed case; None where there is none."""
     try:
-        data = tomllib.loads(text)
         for key in find_keys(keys, data):
             data = data[key]
         return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
-    except (ValueError, KeyError, TypeError, OverflowError):
+    except (KeyError, TypeError, OverflowError):
         return None
 
 
