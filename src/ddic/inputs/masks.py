@@ -75,10 +75,10 @@ class DrawnMask(SizedImage):
 
 
 def _bound(shape: Circle | Polygon, window: Window) -> Window:
-    """The part of a window that holds the box about a shape; empty where they lie apart."""
+    """The pixels of a window in the box about a shape."""
     x0, y0, x1, y1 = shape.box
-    lower = np.clip(np.floor((x0, y0)), window.lower, window.upper)
-    upper = np.clip(np.ceil((x1, y1)) + 1, window.lower, window.upper)
+    lower = np.clip(np.ceil((x0, y0)), window.lower, window.upper)
+    upper = np.clip(np.floor((x1, y1)) + 1, window.lower, window.upper)
     return Window.between(lower, upper)
 
 
@@ -87,7 +87,7 @@ def draw_mask(shapes: Sequence[Shape], extent: Window, name: str, below: ImageSo
     """Draw the mask of shapes over another one, ``below``, which is the mask where there is no shape.
 
     ``extent`` is the image that they belong to, ``name`` the key that holds them. Raises InputError with a line for
-    each shape that crosses itself, is empty, or lies outside the image.
+    each shape that crosses itself, or holds no pixel.
     """
     if not shapes:
         return below
@@ -96,8 +96,8 @@ def draw_mask(shapes: Sequence[Shape], extent: Window, name: str, below: ImageSo
         with problems.gathered():
             drawn.append(_convert(shape, f"{name}[{k}]"))
             if not _bound(drawn[-1], extent).n_pixels:
-                raise InputError(f"{name}[{k}]: lies outside the image of {extent.width} x {extent.height} px; move "
-                                 "it, or leave it out")
+                raise InputError(f"{name}[{k}]: holds no pixel of the image of {extent.width} x {extent.height} px; "
+                                 "move it, or leave it out")
     problems.require_none()
     return DrawnMask(Path(name), extent, tuple(drawn), below)
 
