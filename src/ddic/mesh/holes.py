@@ -56,11 +56,14 @@ class Circle:
         angles = np.linspace(0, 2 * np.pi, 4 * int(2 + self.radius / step * np.pi / 2), endpoint=False)
         return np.asarray(np.array(self.center) + self.radius * np.column_stack([np.cos(angles), np.sin(angles)]))
 
+    # It may be larger than any image.
+    @np.errstate(over="ignore")
     def find_pixels(self, window: Window) -> BoolArray:
         """Find the pixels of a window whose centres lie inside, (window.height, window.width)."""
         x, y = self.center
-        columns, rows = np.arange(window.x0, window.x1), np.arange(window.y0, window.y1)
-        return np.asarray(np.hypot(columns - x, rows[:, None] - y) < self.radius)
+        down = np.abs(np.arange(window.y0, window.y1) - y)
+        half_width = np.sqrt(np.maximum((self.radius - down) * (self.radius + down), 0.0))
+        return np.asarray(np.abs(np.arange(window.x0, window.x1) - x) < half_width[:, None])
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the circle, pixels, negative inside."""
@@ -96,7 +99,7 @@ class Polygon:
         """List points of the outline, (n, 2), each at most a step from the next, pixels."""
         return subdivide(np.concatenate([self.vertices, self.vertices[:1]]), step)
 
-    # Vertices may be larger than any image.
+    # It may be larger than any image.
     @np.errstate(over="ignore")
     def find_pixels(self, window: Window) -> BoolArray:
         """Find the pixels of a window whose centres lie inside, (window.height, window.width).
