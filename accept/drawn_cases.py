@@ -51,8 +51,8 @@ class Drawing:
         Opposite corners of a rectangle.
     circle : two points
         Centre and rim of a hole.
-    hole, line : points
-        Vertices of a polygon, and of a discontinuity; empty for none.
+    hole, mask, line : points
+        Vertices of a polygon, of one that is masked, and of a discontinuity; empty for none.
     point, gauge, profile : points
         Of a point, of a gauge's length, of a line probe.
     looked_at : points
@@ -64,6 +64,7 @@ class Drawing:
     region: tuple[Point, Point]
     circle: tuple[Point, Point] | None
     hole: tuple[Point, ...]
+    mask: tuple[Point, ...]
     line: tuple[Point, ...]
     point: Point
     gauge: tuple[Point, Point]
@@ -73,7 +74,8 @@ class Drawing:
     def describe(self, element_size: float) -> str:
         """Write the case by hand."""
         (x0, y0), (x1, y1) = self.region
-        lines = ["[images]", f'reference = "{self.reference}"', f'deformed = "{self.deformed}"',
+        masked = [f"masked = [{{vertices = {_list(self.mask)}}}]"] if self.mask else []
+        lines = ["[images]", f'reference = "{self.reference}"', f'deformed = "{self.deformed}"', *masked,
                  "[mesh.structured]", f"region = [{x0}, {y0}, {x1}, {y1}]", f"element_size = {element_size:g}"]
         if self.circle is not None:
             (x, y), rim = self.circle
@@ -87,7 +89,7 @@ class Drawing:
     def describe_clicks(self) -> str:
         """Say what is drawn."""
         return ", ".join(["a rectangle", *["a circle"] * (self.circle is not None), *["a polygon"] * bool(self.hole),
-                          *["a line"] * bool(self.line)])
+                          *["a mask"] * bool(self.mask), *["a line"] * bool(self.line)])
 
     def describe_probes(self) -> str:
         """Write a file of probes by hand; the gauge is as long as its clicks are apart, and in their direction."""
@@ -108,8 +110,8 @@ def draw_plate(folder: Path) -> Drawing:
     made = images("kirsch", "--size", "256x256", "--strain", "0.005", "--radius", "30", "--noise", "2", "--seed", "1",
                   folder=folder / "images")
     return Drawing(made / "reference.tif", made / "deformed.tif", ((20, 20), (230, 230)), ((128, 128), (168, 128)),
-                   ((40, 40), (70, 42), (66, 74)), ((15, 200), (90, 205)), (60, 160), ((60, 120), (60, 150)),
-                   ((190, 40), (190, 200)), ((100, 60), (205, 187), (128, 128)))
+                   ((40, 40), (70, 42), (66, 74)), ((180, 60), (210, 64), (204, 110)), ((15, 200), (90, 205)),
+                   (60, 160), ((60, 120), (60, 150)), ((190, 40), (190, 200)), ((100, 60), (205, 187), (128, 128)))
 
 
 def draw_open_hole(folder: Path, *, with_line: bool) -> Drawing:
@@ -118,6 +120,7 @@ def draw_open_hole(folder: Path, *, with_line: bool) -> Drawing:
     reference, deformed = (real_data() / "openhole" / f"zoom-{number:04d}_1.tif" for number in (53, 70))
     return Drawing(reference, deformed, ((560, 200), (840, 900)), ((696, 540), (756, 540)),
                    () if with_line else ((600, 760), (660, 750), (650, 820), (605, 815)),
+                   ((770, 640), (830, 650), (820, 730), (780, 720)),
                    ((540, 300), (700, 310)) if with_line else (), (620, 400), ((620, 420), (620, 460)),
                    ((580, 700), (820, 700)), ((650, 250), (600.5, 545), (800, 640), (696, 540)))
 
@@ -189,6 +192,8 @@ def _draw(tab: Tab, drawing: Drawing) -> None:
         tab.draw("hole: circle", drawing.circle, CASE)
     if drawing.hole:
         tab.draw("hole: polygon", drawing.hole, CASE, finish=True)
+    if drawing.mask:
+        tab.draw("mask: polygon", drawing.mask, CASE, finish=True)
     if drawing.line:
         tab.draw("line: crack, shear band", drawing.line, CASE, finish=True)
     tab.draw("probe: point", [drawing.point], PROBES)
@@ -379,7 +384,8 @@ def _edit(tab: Tab, case: Path, edit: tuple[str, str, str, str, str]) -> Row:
     what, shape, box, typed, key = edit
     if shape:
         tab.choose("Drawn", shape)
-        wait_until(lambda: tab.read(box) != "", "the points of the shape")
+        # What is typed ends as the points of the shape do.
+        wait_until(lambda: tab.read(box).endswith(typed.rpartition(",")[2]), "the points of the shape")
     tab.fill(box, typed)
     wait_until(lambda: tab.read(BEGUN) != EXISTING, "the change in the text")
     tab.press("Write the case")

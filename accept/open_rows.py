@@ -37,8 +37,6 @@ OPEN: dict[tuple[str, str], str] = {
     ("newcomer", "large"):
         "beside other programs 0.60 s after a zoom on 29 Mpx; on 484 Mpx 1.80 s and 1.75 GiB, which are those of the "
         "two million elements that the case begins with: the page builds the whole mesh to check and to draw it",
-    ("newcomer", "wrong_inputs"):
-        "29 of 30: a polygon whose sides cross is meshed by the even-odd rule, as polygons of [mesh.structured] are",
     ("performance", "speedup"):
         "two processor cores of a shared machine, which slow each other down: 1.3 to 1.8 in three runs; of f43a80d the "
         "pixel work on the beam becomes 1.43 and 1.50 times faster, in turn with 1.84 and 1.94 of this code",

@@ -133,6 +133,8 @@ def list_clicked() -> list[Mistake]:
         Mistake("a hole larger than the region", partial(_click, "hole: circle", ((128, 128), (250, 250))), "holes"),
         Mistake("a hole whose sides cross", partial(_click, "hole: polygon", ((40, 40), (80, 80), (80, 40), (40, 80))),
                 "polygons"),
+        Mistake("a mask whose sides cross", partial(_click, "mask: polygon", ((40, 40), (80, 80), (80, 40), (40, 80))),
+                "images.masked[0]"),
         Mistake("a region whose sides cross",
                 partial(_click, "region: polygon", ((30, 30), (220, 220), (220, 30), (30, 220))), "region"),
         Mistake("a near field's window without its section",
@@ -145,7 +147,7 @@ def list_clicked() -> list[Mistake]:
 def _click(kind: str, points: Sequence[Point], tab: Tab) -> None:
     tab.choose("Draw", kind)
     tab.click(points)
-    if kind.startswith(("line", "hole: polygon", "region: polygon")):
+    if kind.startswith(("line", "hole: polygon", "mask: polygon", "region: polygon")):
         tab.press("Finish")
 
 
@@ -164,7 +166,6 @@ def list_typed() -> list[Mistake]:
         Mistake("a negative element size", partial(_type, ELEMENT_SIZE, "-5"), "element_size"),
         Mistake("no element size", partial(_type, ELEMENT_SIZE, ""), "element_size"),
         Mistake("a huge cut-off wavelength", partial(_type, WAVELENGTH, "1000000000"), "cut_off_wavelength"),
-        Mistake("a negative cut-off wavelength", partial(_type, WAVELENGTH, "-60"), "cut_off_wavelength"),
     ]
 
 

@@ -41,7 +41,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[output]": schema.OutputSection,
     "[acquisition]": schema.AcquisitionSection,
 }
-SHAPES = {schema.CircleSection, schema.PolygonSection, schema.RegionSection}
+SHAPES = {schema.CircleSection, schema.PolygonSection, schema.ShapeSection}
 
 named = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 

@@ -249,7 +249,8 @@ def _documented_keys(section: tuple[str, ...]) -> str:
     """The part of the document that describes a section: from its heading to the next."""
     section = _described_as(section)
     name = ".".join(section)
-    starts = {"circles": f"`[[{name}]]`", "polygons": f"`[[{name}]]`", "region": f"a section `[{name}]`"}
+    lists = dict.fromkeys(("circles", "polygons", "masked"), f"`[[{name}]]`")
+    starts = {**lists, "region": f"a section `[{name}]`"}
     ends = {"circles": "\nA polygonal hole", "polygons": "\nA region that"}
     after = DOCUMENT.read_text(encoding="utf-8").partition(starts.get(section[-1], f"\n## [{name}]\n"))[2]
     return after.partition(ends.get(section[-1], "\n## "))[0]
@@ -269,7 +270,7 @@ def test_sections_are_documented() -> None:
 
 def test_examples_of_the_document_are_valid(tmp_path: Path) -> None:
     blocks = re.findall(r"```toml\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
     for block in blocks:
         (tmp_path / "case.toml").write_text(block if "[images]" in block else SMALLEST.partition("[mesh")[0] + block)
         load_case(tmp_path / "case.toml")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ddic.case.loader import load_case
-from ddic.case.schema import RegionSection
+from ddic.case.schema import ShapeSection
 from ddic.errors import InputError
 
 IMAGES = '[images]\nreference = "f.tif"\ndeformed = "g.tif"\n'
@@ -37,7 +37,7 @@ def test_all_forms(tmp_path: Path, kind: str, text: str, box: tuple[float, ...])
     section = load_case(write(tmp_path, kind, text.replace("KIND", kind))).case.mesh.meshed
     assert section is not None
     assert section.box == box
-    assert isinstance(section.region, RegionSection) == ("vertices" in text or "center" in text)
+    assert isinstance(section.region, ShapeSection) == ("vertices" in text or "center" in text)
     assert section.cell == ("Q4" if kind == "structured" else "T3")
 
 

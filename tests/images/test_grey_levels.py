@@ -36,9 +36,9 @@ def test_not_finite_pixels_are_counted_and_located_unless_masked(tmp_path: Path)
     mask = np.ones(pixels.shape, bool)
     mask[10, 20] = False
     with pytest.raises(InputError, match=r"2 pixel.*\(40, 30\)"):
-        check_finite(image, mask)
+        check_finite(image, ArraySource(Path("mask"), mask))
     mask[30, 40:42] = False
-    check_finite(image, mask)
+    check_finite(image, ArraySource(Path("mask"), mask))
 
 
 def test_not_finite_pixels_are_found_in_later_bands(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,6 +32,7 @@ from ddic.page.case_text import (
     list_shapes,
     read_shape,
     remove_shape,
+    set_mesh,
     set_number,
     set_shape,
 )
@@ -338,6 +339,33 @@ def test_what_is_added_stands_where_a_person_would_write_it() -> None:
     lines = text.split("\n")
     assert lines[lines.index(new[0]) - 1].startswith("element_size = ")
     assert lines[lines.index("[regularization]") - 1] == ""
+
+
+@pytest.mark.parametrize(("text", "changed"), [
+    ("[mesh.structured] # a\nregion = [1]\n[[mesh.structured.circles]]\nradius = 1\n",
+     "[mesh.unstructured] # a\nregion = [1]\n[[mesh.unstructured.circles]]\nradius = 1\n"),
+    ("title = '[mesh.structured]'\n[mesh]\n  [ mesh . structured ]\ncell = 'T3'\n",
+     "title = '[mesh.structured]'\n[mesh]\n  [ mesh . unstructured ]\ncell = 'T3'\n"),
+])
+def test_another_maker_of_the_mesh_changes_headers_alone(text: str, changed: str) -> None:
+    assert set_mesh(text, "unstructured") == changed
+    assert set_mesh(changed, "structured") == text
+
+
+@pytest.mark.parametrize("text", [
+    "mesh = 3\n", "title = 'a'\n", "[mesh]\nfile = 'm.msh'\n", "[mesh]\nstructured = { region = [1] }\n",
+    "[mesh.structured]\ncell = 'T3'\n[mesh.mapping]\nscale = 2\n"])
+def test_a_mesh_of_another_make_is_left_to_its_author(text: str) -> None:
+    with pytest.raises(InputError, match=r"mesh: no section \[mesh\.structured\] or"):
+        set_mesh(text, "unstructured")
+
+
+def test_sections_of_masks_hold_no_rectangle() -> None:
+    text = "[[images.masked]]\ncenter = [1, 2]\nradius = 3\n"
+    circle, box = BY_NAME["mask: circle"], BY_NAME["mask: rectangle"]
+    assert set_shape(text, Shape(circle, ((1.0, 2.0), (5.0, 2.0)))) == text.replace("3", "4")
+    with pytest.raises(InputError, match="masked: sections hold no rectangle; draw a polygon"):
+        set_shape(text, Shape(box, ((1.0, 2.0), (5.0, 6.0)), find_place(text, box)))
 
 
 def test_long_lists_stand_on_lines_of_their_own() -> None:

@@ -7,6 +7,7 @@ import signal
 import sys
 import urllib.request
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ import ddic
 from ddic.cli.app import command_line
 from ddic.errors import InputError
 from ddic.page import HEIGHT, NotebookPage
+from ddic.page.drawn_case import CaseFile, DrawnCase, check_text
 from support.cases import case_text
 from support.commands import DDIC, LIMIT, finished, started
 from support.page_results import Motion, write_known
@@ -134,8 +136,28 @@ def test_a_notebook_shows_a_page(folder: Path) -> None:
 
 def test_a_result_in_no_file_is_not_viewed(folder: Path) -> None:
     result = replace(ddic.open(write_known(folder / "r.vtkhdf", Motion())), path=Path())
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r'is in memory only.* measure with output="result\.vtkhdf", then view'):
         result.view()
+
+
+def test_a_page_outlives_a_change_of_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What relative paths named is read later, too: the image in windows, the file before it is written."""
+    made: list[DrawnCase] = []
+
+    def keep(make_page: partial[None]) -> str:
+        made.append(make_page.args[0])
+        return ""
+
+    monkeypatch.setattr("ddic.page.server.start_in_thread", keep)
+    monkeypatch.chdir(folder)
+    ddic.draw("f.tif", "case.toml", ["g.tif"])
+    monkeypatch.chdir("/")
+    (drawn,) = made
+    assert 'reference = "f.tif"\ndeformed = "g.tif"' in drawn.text
+    assert drawn.image.read((0.0, 0.0, 8.0, 8.0), 80, 80).grey.any()
+    assert list(check_text(drawn.text, drawn).problems) == []
+    CaseFile(drawn.path).write(drawn.text)
+    assert (folder / "case.toml").is_file()
 
 
 @pytest.mark.program

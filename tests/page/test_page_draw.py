@@ -21,14 +21,18 @@ from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Scatter,
 from ddic.case.loader import load_case
 from ddic.errors import InputError
 from ddic.page import drawn_case
+from ddic.page.clicks import DOUBLE_CLICK_S
 from ddic.page.draw import STRENGTHS, make_draw_page
 from ddic.page.drawn_case import DrawnCase, check_text, open_drawn_case
+from ddic.probes.probes import PointProbe, load_probes
 from page.conftest import OpenDraw
+from support.cases import REGION as SHOWN
 from support.cases import case_text, write_images
 from support.page_tab import Jobs, Tab
 
 HOLE, LINE, REGION = "hole: circle", "line: crack, shear band", "region: rectangle"
 POINTS = "Its points: x, y; x, y; ... (px)"
+PROBES = "Probes (a file for ddic probe --probes)"
 SIZE, WAVELENGTH = "Element size (px)", "Cut-off wavelength (px)"
 
 
@@ -85,6 +89,127 @@ def test_a_polygon_ends_with_a_double_click(open_draw: OpenDraw, folder: Path) -
     tab.double_click(50.0, 60.0)
     assert tomllib.loads(text_of(tab, folder))["mesh"]["structured"]["polygons"] == [
         {"vertices": [[40, 40], [60, 40], [50, 60]]}]
+
+
+def test_a_double_click_that_ends_a_shape_does_not_begin_the_next_one(open_draw: OpenDraw, folder: Path) -> None:
+    """Of a rectangle the first of both ends it; a corner of the next one at the same place is clicked later."""
+    tab = open_draw()
+    tab.widget("Draw").value = "mask: rectangle"
+    tab.click(30.0, 30.0)
+    tab.double_click(60.0, 50.0)
+    tab.click(100.0, 90.0)
+    tab.click(110.0, 120.0)
+    time.sleep(DOUBLE_CLICK_S)
+    tab.click(110.0, 120.0)
+    tab.click(130.0, 130.0)
+    assert tomllib.loads(text_of(tab, folder))["images"]["masked"] == [
+        [30, 30, 60, 50], [100, 90, 110, 120], [110, 120, 130, 130]]
+
+
+def test_both_clicks_of_a_double_one_are_one_where_they_snap(folder: Path, jobs: Jobs) -> None:
+    """Onto the outline of the mesh's mask, 6 pixels of the screen away: farther than a click from its repetition."""
+    mask = np.zeros((192, 192), np.uint8)
+    mask[40:150, 40:150] = 255
+    cv2.imwrite(str(folder / "mask.png"), mask)
+    (folder / "case.toml").write_text(case_text(region=f'{SHOWN}\nmask = "mask.png"'), encoding="utf-8")
+    tab = Tab(partial(make_draw_page, open_drawn_case(folder / "f.tif", folder / "case.toml")), jobs)
+    tab.widget("Draw").value = "mask: polygon"
+    tab.click(80.0, 80.0)
+    tab.click(110.0, 80.0)
+    tab.double_click(100.0, 38.5)
+    assert tomllib.loads(text_of(tab, folder))["images"]["masked"] == [{"vertices": [[80, 80], [110, 80], [100, 40]]}]
+
+
+def test_masks_are_drawn_in_all_forms(open_draw: OpenDraw, folder: Path) -> None:
+    tab = open_draw(case_text())
+    tab.draw("mask: rectangle", [(60.0, 50.0), (30.0, 30.0)])
+    tab.draw("mask: circle", [(96.0, 96.0), (96.0, 110.5)])
+    assert "masked = [[30, 30, 60, 50], {center = [96, 96], radius = 14.5}]" in text_of(tab, folder)
+    tab.draw("mask: polygon", [(120.0, 40.0), (140.0, 40.0), (130.0, 62.0)], finish=True)
+    assert tomllib.loads(text_of(tab, folder))["images"]["masked"][2] == {"vertices": [[120, 40], [140, 40], [130, 62]]}
+    assert tab.widget("Drawn").options == [REGION, "mask: rectangle 1", "mask: polygon 3", "mask: circle 2"]
+    assert "ready to run" in tab.texts()
+    tab.enter("Drawn", "mask: circle 2")
+    tab.press("Remove")
+    tab.draw("mask: polygon", [(40.0, 100.0), (80.0, 140.0), (80.0, 100.0), (40.0, 140.0)], finish=True)
+    assert "case.toml: images.masked[2]: the polygon crosses or touches itself" in problems(tab)
+
+
+GMSH = """\
+[mesh.unstructured]   # by gmsh
+region = { center = [96, 96], radius = 70.0 }  # the disk
+element_size = 16.0   # coarse
+circles = [{ center = [96, 96], radius = 20 }]
+[regularization]
+cut_off_wavelength = 80
+not_controlled = ["hole_0"]
+"""
+
+
+def gmsh_text() -> str:
+    return case_text().partition("[mesh.structured]")[0] + GMSH
+
+
+def test_a_mesh_by_gmsh_is_drawn_and_changed_in_one_line(open_draw: OpenDraw, folder: Path) -> None:
+    pytest.importorskip("gmsh")
+    tab = open_draw(gmsh_text())
+    assert tab.widget("Drawn").options == ["region: circle", f"{HOLE} 1"]
+    assert (tab.widget("Mesh").value, tab.widget(SIZE).value) == ("unstructured", 16)
+    assert re.search(r"hole_0 \(\d+ nodes\)", tab.texts())
+    rgba, _ = tab.shown()
+    assert (rgba[..., 0] != rgba[..., 2]).any()
+    tab.enter(SIZE, 20)
+    assert text_of(tab, folder) == gmsh_text().replace("16.0", "20")
+    tab.enter("Drawn", "region: circle")
+    tab.enter(POINTS, "96, 96; 166.5, 96")
+    assert text_of(tab, folder) == gmsh_text().replace("16.0", "20").replace("70.0", "70.5")
+    tab.draw("hole: polygon", [(60.0, 50.0), (80.0, 50.0), (70.0, 64.0)], finish=True)
+    assert tomllib.loads(text_of(tab, folder))["mesh"]["unstructured"]["polygons"]
+    text_area(tab, folder).value = gmsh_text().replace("hole_0", "hole_7")
+    tab.settle()
+    assert "hole_7" in problems(tab)
+
+
+def test_the_maker_of_the_mesh_is_chosen(open_draw: OpenDraw, folder: Path) -> None:
+    pytest.importorskip("gmsh")
+    tab = open_draw(gmsh_text())
+    tab.enter("Mesh", "structured")
+    assert text_of(tab, folder) == gmsh_text().replace("unstructured", "structured")
+    assert "ready to run" in tab.texts()
+    tab.press("Undo")
+    assert (tab.widget("Mesh").value, text_of(tab, folder)) == ("unstructured", gmsh_text())
+    text_area(tab, folder).value = case_text().partition("[mesh")[0] + '[mesh]\nfile = "m.msh"\n'
+    tab.settle()
+    tab.widget("Mesh").value = "structured"
+    assert "no section [mesh.structured] or [mesh.unstructured] alone describes it" in problems(tab)
+    assert tab.widget("Mesh").value == ""
+    text_area(tab, folder).value = gmsh_text() + "broken ["
+    tab.settle()
+    tab.enter("Mesh", "structured")
+    assert text_of(tab, folder) == gmsh_text() + "broken ["
+    assert tab.widget("Mesh").value == ""
+
+
+def test_where_gmsh_is_not_installed_a_line_says_what_to_install(
+        open_draw: OpenDraw, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    tab = open_draw(case_text())
+    tab.enter("Mesh", "unstructured")
+    (line,) = problems(tab).splitlines()
+    assert "mesh.unstructured: gmsh makes this mesh and cannot be imported" in line
+    assert "pip install gmsh" in line
+
+
+def test_warnings_of_the_check_are_told_beside_its_report(open_draw: OpenDraw, folder: Path) -> None:
+    """What nothing asks for is no problem, and is told once."""
+    tab = open_draw(case_text('[solver]\nmethod = "monolithic"\nsubdomains = 4'))
+    told = "solver.subdomains changes nothing here: it goes with a method of several subdomains; leave it out"
+    assert tab.texts().count(told) == 1
+    assert problems(tab) == ""
+    assert "ready to run" in tab.texts()
+    text_area(tab, folder).value = case_text()
+    tab.settle()
+    assert told not in tab.texts()
 
 
 def test_nothing_is_drawn_while_the_image_is_moved(open_draw: OpenDraw, folder: Path) -> None:
@@ -275,9 +400,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "a circle without a radius": ("circles = [{ center = [96, 96] }]", "circles[0].radius: this key is missing"),
     "two vertices": ("polygons = [{ vertices = [[60, 60], [120, 120]] }]", "polygons[0].vertices"),
     "the same vertex twice": (
-        "polygons = [{ vertices = [[60, 60], [60, 60], [60, 60]] }]", "hole_0 holds the centre of no cell"),
+        "polygons = [{ vertices = [[60, 60], [60, 60], [60, 60]] }]", "polygons[0]: the polygon crosses or touches"),
     "vertices on a line": (
-        "polygons = [{ vertices = [[60, 60], [80, 80], [100, 100]] }]", "hole_0 holds the centre of no cell"),
+        "polygons = [{ vertices = [[60, 60], [80, 80], [100, 100]] }]", "polygons[0]: the polygon crosses or touches"),
     "a vertex that is no number": ('polygons = [{ vertices = [[60, "a"], [80, 80], [100, 60]] }]', "polygons[0]"),
     "nan": ("circles = [{ center = [nan, 96], radius = 5 }]", "circles[0].center"),
     "infinity": ("circles = [{ center = [inf, 96], radius = 5 }]", "circles[0].center"),
@@ -463,6 +588,31 @@ def test_an_existing_case_changes_in_one_line(open_draw: OpenDraw, folder: Path)
     tab.press("Write the case")
     assert (folder / "case.toml").read_text(encoding="utf-8") == written.replace("= 16", "= 12")
     load_case(folder / "case.toml")
+
+
+def test_probes_are_written_beside_the_case_and_read_again(drawn: DrawnCase, folder: Path, jobs: Jobs) -> None:
+    tab = Tab(partial(make_draw_page, drawn), jobs)
+    tab.draw("probe: point", [(40.0, 40.0)])
+    tab.press("Write the case")
+    assert f"the case was written to {folder / 'case.toml'}" in tab.texts()
+    assert (f"the probes (1) were written to {folder / 'case.probes.toml'}, for ddic probe RESULT --probes "
+            "case.probes.toml") in tab.texts()
+    assert "ready to run" in tab.texts()
+    assert load_probes(folder / "case.probes.toml") == [PointProbe("point_1", (40.0, 40.0))]
+    tab.press("Write the case")
+    assert "the probes" not in tab.texts()
+    # Comments stay, as they do in a case.
+    written = "# by hand\n" + (folder / "case.probes.toml").read_text(encoding="utf-8")
+    (folder / "case.probes.toml").write_text(written, encoding="utf-8")
+    other = Tab(partial(make_draw_page, drawn), jobs)
+    assert other.widget(PROBES).value == written
+    tab.draw("probe: point", [(50.0, 50.0)])
+    tab.press("Write the case")
+    assert "case.probes.toml: was changed since this page was opened" in problems(tab)
+    assert (folder / "case.probes.toml").read_text(encoding="utf-8") == written
+    other.enter(PROBES, "[point.A")
+    other.press("Write the case")
+    assert "case.probes.toml: not valid TOML" in problems(other)
 
 
 def test_ends_of_lines_stay(folder: Path, jobs: Jobs) -> None:

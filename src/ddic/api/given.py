@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray
 from ddic.case.loader import LoadedCase, convert_shorthand, convert_to_case
 from ddic.case.named_files import find_frames
-from ddic.case.schema import Case, ImagesSection, NearSection
+from ddic.case.schema import Case, ImagesSection, NearSection, Shape
 from ddic.check.case import check_case, load_checked_case
 from ddic.errors import InputError, as_collective, refuse_unknown_arguments
 from ddic.images.binned import ArraySource
@@ -25,6 +25,7 @@ from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import open_on_all_ranks
 from ddic.inputs.inputs import StartPoints, check_start_points
+from ddic.inputs.masks import draw_mask
 from ddic.io.image_file import read_mask
 from ddic.io.input_file import as_path
 from ddic.io.mesh_file import convert_mesh
@@ -186,7 +187,7 @@ def make_case(sections: Mapping[str, Any]) -> Case:
 def is_mesh_named(sections: Mapping[str, Any]) -> bool:
     """Tell whether sections say the mesh, which is in memory else."""
     section = sections.get("mesh")
-    return isinstance(section, Mapping) and bool({"file", "structured"} & set(section))
+    return isinstance(section, Mapping) and bool({"file", "structured", "unstructured"} & set(section))
 
 
 def _complete(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -242,20 +243,21 @@ def make_image(given: ImageLike, section: ImagesSection | NearSection, mask: Pat
     return given if isinstance(given, Image) else Image(given, mask, section.exclude_saturated, section.saturation)
 
 
-def open_given_image(team: Team, given: ImageLike, name: str, *, keeps: bool = False) -> MaskedSource:
+def open_given_image(team: Team, given: ImageLike, name: str, shapes: Sequence[Shape] = (), *,
+                     keeps: bool = False) -> MaskedSource:
     """Open an image that the user gave, the same on all ranks; collective.
 
-    ``name`` is what messages call it. One that ``keeps`` is read after the call that it was given to: an array, which
-    the user may write into, is copied. Raises InputError on all ranks, where it is no image, or its mask is not as
-    large.
+    ``name`` is what messages call it, ``shapes`` are those of ``images.masked``. One that ``keeps`` is read after the
+    call that it was given to: an array, which the user may write into, is copied. Raises InputError on all ranks, where
+    it is no image, its mask is not as large, or a shape is none.
     """
     image = given if isinstance(given, Image) else Image(given)
     pixels = image.pixels
     if isinstance(pixels, str | Path):
         source = open_on_all_ranks(team)(Path(pixels))
-        return team.together(lambda: _leave_pixels_out(image, source, name))
+        return team.together(lambda: _leave_pixels_out(image, source, name, shapes))
     in_memory = team.together(lambda: _hold_array(pixels, name, keeps=keeps))
-    masked = team.together(lambda: _leave_pixels_out(image, in_memory, name))
+    masked = team.together(lambda: _leave_pixels_out(image, in_memory, name, shapes))
     _refuse_other_pixels(team, in_memory, name)
     return masked
 
@@ -285,10 +287,11 @@ def _hold_array(pixels: Any, name: str, *, keeps: bool) -> ArraySource:
     return ArraySource(Path(name), native, saturation)
 
 
-def _leave_pixels_out(image: Image, source: ImageSource, name: str) -> MaskedSource:
+def _leave_pixels_out(image: Image, source: ImageSource, name: str, shapes: Sequence[Shape]) -> MaskedSource:
     used = _used_pixels(image, source, name)
-    check_finite(source, used)
-    mask = None if used is None else ArraySource(Path(f"{name}'s mask"), used.astype(np.uint8))
+    given = None if used is None else ArraySource(Path(f"{name}'s mask"), used.astype(np.uint8))
+    mask = draw_mask(shapes, source.extent, "images.masked", given)
+    check_finite(source, mask)
     return MaskedSource(source, mask, _find_saturation(image, source, name))
 
 

@@ -345,7 +345,7 @@ def _prepare(team: Team, source: Any, given: Arguments, n_frames: int, progress:
     # Of more frames than one some are measured after this call, by when the user may have written into arrays.
     keeps = n_frames > 1
     reference = open_given_image(team, make_image(source, images, images.reference_mask), "reference image",
-                                 keeps=keeps)
+                                 images.masked, keeps=keeps)
     camera = make_first_camera(reference, images.noise)
     if keeps and is_line_wanted(loaded.case):
         # The first frame says where the line is, and the mesh waits for it.

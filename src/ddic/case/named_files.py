@@ -173,8 +173,8 @@ def _list_refused_by_updates(case: Case) -> Iterator[str]:
         (case.output.uncertainty, "uncertainties would be of the last update; leave output.uncertainty out"),
         ("residual_image" in case.output.model_fields_set and case.output.residual_image,
          "pixels of the residual would be those of the last update; leave output.residual_image out"),
-        (case.images.reference_mask is not None and case.images.deformed_mask is None,
-         "a later frame is masked by images.deformed_mask; give one beside images.reference_mask"),
+        ((case.images.reference_mask is not None or case.images.masked) and case.images.deformed_mask is None,
+         "a later frame is masked by images.deformed_mask; give one beside images.reference_mask and images.masked"),
     ]
     for is_there, reason in refused:
         if is_there:

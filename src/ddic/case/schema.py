@@ -76,6 +76,28 @@ class Section(BaseModel):
         return self
 
 
+class ShapeSection(Section):
+    """A polygon or a circle, pixels."""
+
+    vertices: Annotated[Points, Field(min_length=3)] | None = None
+    """A polygon: at least three vertices, in either sense; it is closed by itself and may not cross itself."""
+
+    center: Annotated[Point, note(unit="px")] | None = None
+    """Centre of a circle."""
+
+    radius: PositivePixels | None = None
+    """Its radius."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        is_circle = (self.center is not None, self.radius is not None)
+        if is_circle not in ((False, False), (True, True)) or all(is_circle) == (self.vertices is not None):
+            yield "give either the vertices of a polygon, or center and radius of a circle"
+
+
+Shape = Annotated[Annotated[ShapeSection, Tag("one")] | Annotated[Box, Tag("several")], TableOrList]
+Shapes = Annotated[tuple[Shape, ...], note(unit="px", shape="list of [x0, y0, x1, y1] or sections")]
+
+
 class ImagesSection(Section):
     """The image pair; paths are relative to the case file."""
 
@@ -94,6 +116,10 @@ class ImagesSection(Section):
 
     deformed_mask: Path | None = None
     """The same for the deformed image, in its own coordinates; one for all images of a series."""
+
+    masked: Shapes = ()
+    """Boxes, polygons and circles in the reference image whose pixels are left out, though the mesh goes on under them:
+    an arm of an extensometer, a glare, a label. Together with `reference_mask` both hold."""
 
     exclude_saturated: bool = False
     """Leave out saturated pixels, and what is interpolated from them."""
@@ -151,29 +177,10 @@ class PolygonSection(Section):
     """At least three vertices, in either sense; the polygon is closed by itself."""
 
 
-class RegionSection(Section):
-    """A region of interest that is no box, pixels."""
-
-    vertices: Annotated[Points, Field(min_length=3)] | None = None
-    """A polygon: at least three vertices, in either sense; it is closed by itself and may not cross itself."""
-
-    center: Annotated[Point, note(unit="px")] | None = None
-    """Centre of a circle."""
-
-    radius: PositivePixels | None = None
-    """Its radius."""
-
-    def _list_contradictions(self) -> Iterator[str]:
-        is_circle = (self.center is not None, self.radius is not None)
-        if is_circle not in ((False, False), (True, True)) or all(is_circle) == (self.vertices is not None):
-            yield "give either the vertices of a polygon, or center and radius of a circle"
-
-
 class MeshedSection(Section):
     """A region of interest that ddic meshes, pixels."""
 
-    region: Annotated[Annotated[RegionSection, Tag("one")] | Annotated[Box, Tag("several")], TableOrList,
-                      note(unit="px", shape="[x0, y0, x1, y1] or section")]
+    region: Annotated[Shape, note(unit="px", shape="[x0, y0, x1, y1] or section")]
     """A box, or a polygon or a circle, see below; it must hold at least one cell and lie in the image."""
 
     element_size: PositivePixels
@@ -192,7 +199,7 @@ class MeshedSection(Section):
     def box(self) -> tuple[float, float, float, float]:
         """The smallest box around the region: x0, y0, x1, y1, pixels."""
         region = self.region
-        if not isinstance(region, RegionSection):
+        if not isinstance(region, ShapeSection):
             return region
         if region.center is not None and region.radius is not None:
             (x, y), r = region.center, region.radius
@@ -303,6 +310,9 @@ class NearSection(Section):
 
     deformed_mask: Path | None = None
     """As in `[images]`."""
+
+    masked: Annotated[Shapes, note(unit="near px")] = ()
+    """As in `[images]`, in the near reference image."""
 
     exclude_saturated: bool = False
     """As in `[images]`."""

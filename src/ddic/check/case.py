@@ -212,7 +212,9 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
         frame = f"frame {list_deformed(case.images).index(case.images.reference) + 1}" if loaded.is_series else "this"
         warnings.warn(f"{loaded.path}: images.deformed: {frame} is the reference image itself; name another one, or "
                       "narrow the pattern, where that is not meant", UserWarning, stacklevel=2)
-    reference, *_ = [check_images(section, problems) for section in list_cameras(case)]
+    names = [f"{loaded.path}: images", *(f"{loaded.path}: near[{k}]" for k in range(len(case.near)))]
+    reference, *_ = [check_images(section, name, problems)
+                     for section, name in zip(list_cameras(case), names, strict=True)]
     with problems.gathered(loaded.path):
         check_output(loaded)
     with problems.gathered():

@@ -1,5 +1,6 @@
 """Whether images and masks can be measured on, show texture, and, near ones, what their mapping says."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
 from ddic.case.named_files import list_deformed
-from ddic.case.schema import Case, ImagesSection, NearSection
+from ddic.case.schema import Case, ImagesSection, NearSection, Shape
 from ddic.errors import InputError, Problems
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import (
@@ -16,15 +17,17 @@ from ddic.images.grey_levels import (
     check_finite,
     check_noise,
     check_varied,
+    count_used,
     list_spread_bands,
     measure_grey_levels,
     read_all,
 )
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.inputs.cameras import Camera, exclude_masked, find_image_corners
+from ddic.inputs.cameras import Camera, find_image_corners
+from ddic.inputs.masks import draw_mask, exclude_from_reference
 from ddic.inputs.mesh_source import check_weight_fits
-from ddic.io.image_file import ImageFile, hold_image, read_mask
+from ddic.io.image_file import ImageFile, hold_image, open_mask
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
@@ -57,9 +60,12 @@ LEAST_HALF_PROBE = 4
 """Least half side of that part, far-field pixels, however much a near image magnifies."""
 
 
-def check_images(images: ImagesSection | NearSection, problems: Problems) -> ImageSource | None:
-    """Check a camera's images and masks, adding to ``problems``; returns the reference image, None if unreadable."""
-    reference = _check_image(images.reference, images.reference_mask, problems)
+def check_images(images: ImagesSection | NearSection, name: str, problems: Problems) -> ImageSource | None:
+    """Check a camera's images and masks, adding to ``problems``; returns the reference image, None if unreadable.
+
+    ``name`` is what messages call the section, after its file.
+    """
+    reference = _check_image(images.reference, images.reference_mask, problems, images.masked, f"{name}.masked")
     if reference is not None:
         with problems.gathered():
             check_varied(reference)
@@ -106,18 +112,22 @@ def check_decodable(images: ImagesSection | NearSection, problems: Problems) -> 
                 read_all(ImageFile(path, layout, windowed=True))
 
 
-def _check_image(path: Path, mask_path: Path | None, problems: Problems) -> ImageSource | None:
-    """An image, checked with its mask; None where it cannot be read."""
+def _check_image(path: Path, mask_path: Path | None, problems: Problems, shapes: Sequence[Shape] = (),
+                 name: str = "") -> ImageSource | None:
+    """An image, checked with its mask, and shapes, of a key of that name; None where it cannot be read."""
     source: ImageSource | None = None
     with problems.gathered():
         source = _hold_large_enough(path)
     if source is None:
         return None
     with problems.gathered():
-        mask = None if mask_path is None else read_mask(mask_path, source.width, source.height)
-        if mask is not None and _leaves_too_few(mask):
-            raise InputError(f"{mask_path}: the mask leaves {np.count_nonzero(mask)} px of {path} to measure by; it "
-                             "has to be more than 0 where pixels are to be used")
+        below = None if mask_path is None else open_mask(mask_path, source.width, source.height)
+        mask = draw_mask(shapes, source.extent, name, below)
+        n_used = source.extent.n_pixels if mask is None else count_used(mask)
+        if _is_too_few(n_used, source.extent.n_pixels):
+            remedy = "draw smaller shapes" if shapes else "it has to be more than 0 where pixels are to be used"
+            raise InputError(f"{name if shapes else mask_path}: the mask leaves {n_used} px of {path} to measure by; "
+                             f"{remedy}")
         check_finite(source, mask)
     return source
 
@@ -131,9 +141,9 @@ def _hold_large_enough(path: Path) -> ImageSource:
     return source
 
 
-def _leaves_too_few(is_used: BoolArray) -> bool:
+def _is_too_few(n_used: int, n_pixels: int) -> bool:
     """Whether next to nothing is left of an image, or of the box about a mesh."""
-    return int(np.count_nonzero(is_used)) < min(LEAST_LEFT, is_used.size / 2)
+    return n_used < min(LEAST_LEFT, n_pixels / 2)
 
 
 def check_texture(case: Case, reference: ImageSource, mesh: Mesh, cell_size: float) -> None:
@@ -145,12 +155,13 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh, cell_size: flo
     """
     images = case.images
     window = _bound(mesh.nodes).intersection(reference.extent)
-    if images.reference_mask is not None or images.exclude_saturated:
+    if images.reference_mask is not None or images.masked or images.exclude_saturated:
         usable = _find_usable(case, reference, mesh, window)
-        if _leaves_too_few(usable):
-            raise InputError(f"images.reference_mask, images.exclude_saturated: {np.count_nonzero(usable)} px of the "
-                             "mesh are left to measure by; correct the mask (more than 0 where pixels are used), or "
-                             "images.saturation")
+        n_usable = int(np.count_nonzero(usable))
+        if _is_too_few(n_usable, usable.size):
+            raise InputError(f"images.reference_mask, images.masked, images.exclude_saturated: {n_usable} px of the "
+                             "mesh are left to measure by; correct the mask (more than 0 where pixels are used), the "
+                             "shapes, or images.saturation")
     else:
         usable = None
     _refuse_blank(reference, window, usable)
@@ -170,7 +181,7 @@ def _bound(points: Array) -> Window:
 
 def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
     """Pixels of a window that lie in the mesh and count."""
-    counted = exclude_masked(reference, case.images, case.images.reference_mask, hold_image).find_usable(window)
+    counted = exclude_from_reference(reference, case.images, hold_image).find_usable(window)
     covered = rasterize(mesh).find_covered(reference.width, reference.height)[window.y0:window.y1, window.x0:window.x1]
     return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
 

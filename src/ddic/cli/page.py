@@ -24,7 +24,7 @@ BROWSER = click.option("--browser/--no-browser", default=True, help="Open the pa
 @PORT
 @BROWSER
 def draw(image: Path, case_file: Path, deformed: tuple[Path, ...], port: int, *, browser: bool) -> None:
-    """Draw region, holes, lines and probes on the reference IMAGE in the browser; write CASE.toml, and run it.
+    """Draw region, holes, masks, lines and probes on the reference IMAGE in the browser; write CASE.toml, and run it.
 
     A CASE.toml that is there is opened, and only what is drawn anew changes in it.
     """

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
@@ -107,10 +107,10 @@ def find_saturation(source: ImageSource) -> float | None:
     return levels.find_saturation(source.saturation)
 
 
-def check_finite(source: ImageSource, mask: BoolArray | None = None) -> None:
+def check_finite(source: ImageSource, mask: ImageSource | None = None) -> None:
     """Check that a float image holds no nan or infinity but where its mask leaves it out.
 
-    The mask is True where pixels are used; without one, all are. Raises InputError where there are such pixels, with
+    The mask is not 0 where pixels are used; without one, all are. Raises InputError where there are such pixels, with
     their number and the first one.
     """
     if source.saturation is not None:
@@ -120,7 +120,7 @@ def check_finite(source: ImageSource, mask: BoolArray | None = None) -> None:
     for rows in _bands(source):
         bad = ~np.isfinite(source.read(rows))
         if mask is not None:
-            bad &= mask[rows.y0:rows.y1]
+            bad &= mask.read(rows) != 0
         if first is None and bad.any():
             row, column = np.unravel_index(int(bad.argmax()), bad.shape)
             first = (int(column), rows.y0 + int(row))
@@ -128,6 +128,11 @@ def check_finite(source: ImageSource, mask: BoolArray | None = None) -> None:
     if count:
         raise InputError(f"{source.path}: {count} pixel(s) are NaN or infinite, the first at "
                          f"(x, y) = {first}; leave them out with a mask image (0 there)")
+
+
+def count_used(mask: ImageSource) -> int:
+    """Count the pixels of a mask's image that are not 0."""
+    return sum(int(np.count_nonzero(mask.read(rows))) for rows in _bands(mask))
 
 
 def read_all(source: ImageSource) -> None:

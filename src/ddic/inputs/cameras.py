@@ -1,19 +1,18 @@
 """The cameras of a case: their reference images, where they look, and which cells each of them measures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.named_files import list_cameras, list_deformed
-from ddic.case.schema import Case, ImagesSection, NearSection
+from ddic.case.schema import Case, NearSection
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping, identity, similarity
-from ddic.images.grey_levels import find_saturation
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
+from ddic.inputs.masks import Opener, exclude_from_reference, exclude_masked
 from ddic.io.image_file import open_decoded
 from ddic.io.mapping_file import read_mapping_file
 from ddic.kinematics.camera import CameraSetup, MotionKind, see_mesh
@@ -22,9 +21,6 @@ from ddic.parallel.node import open_once_a_node
 from ddic.parallel.team import Team, require_held
 from ddic.partition.split import assign_cameras
 from ddic.partition.ties import Tying
-
-Opener = Callable[[Path], ImageSource]
-"""Opens an image file."""
 
 Frame = tuple[MaskedSource, ...]
 """The deformed images of one instant, one of each camera."""
@@ -89,10 +85,10 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
 
     Raises InputError where a file or a mapping cannot be read, or a mapping is none.
     """
-    far = _open_reference(case.images, opener)
+    far = exclude_from_reference(opener(case.images.reference), case.images, opener)
     cameras = [make_first_camera(far, case.images.noise)]
     for number, section in enumerate(case.near, start=1):
-        reference = _open_reference(section, opener)
+        reference = exclude_from_reference(opener(section.reference), section, opener)
         try:
             setup = _make_setup(_mapping(section, far.image, reference.image), reference, section.motion)
         except ValueError as error:
@@ -114,19 +110,6 @@ def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
     """
     return tuple(exclude_masked(opener(list_deformed(section)[number]), section, section.deformed_mask, opener)
                  for section in list_cameras(case))
-
-
-def _open_reference(section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:
-    return exclude_masked(opener(section.reference), section, section.reference_mask, opener)
-
-
-def exclude_masked(image: ImageSource, section: ImagesSection | NearSection, mask: Path | None,
-               opener: Opener) -> MaskedSource:
-    """Leave out of one of a section's images what is saturated, if that is asked for, and what a mask hides."""
-    saturated_from = None
-    if section.exclude_saturated:
-        saturated_from = find_saturation(image) if section.saturation is None else section.saturation
-    return MaskedSource(image, None if mask is None else opener(mask), saturated_from)
 
 
 def _make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionKind) -> CameraSetup:

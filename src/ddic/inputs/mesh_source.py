@@ -10,7 +10,7 @@ from ddic.case.schema import (
     MappingSection,
     MeshedSection,
     MeshSection,
-    RegionSection,
+    ShapeSection,
     StructuredSection,
     UnstructuredSection,
 )
@@ -65,7 +65,7 @@ def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | Non
 def is_plain_grid(case: Case) -> bool:
     """Tell whether a case asks for a rectangle of Q4 that nothing cuts, ties or splits in a way of its own."""
     section = case.mesh.structured
-    if section is None or section.cell != "Q4" or isinstance(section.region, RegionSection):
+    if section is None or section.cell != "Q4" or isinstance(section.region, ShapeSection):
         return False
     if section.circles or section.polygons or section.mask is not None:
         return False
@@ -164,7 +164,7 @@ def _unstructured(section: UnstructuredSection) -> Mesh:
 def _region(section: MeshedSection) -> RegionLike:
     """The region as functions that mesh it take it."""
     region = section.region
-    if not isinstance(region, RegionSection):
+    if not isinstance(region, ShapeSection):
         return region
     if region.center is not None and region.radius is not None:
         return region.center, region.radius

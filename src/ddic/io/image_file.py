@@ -269,8 +269,14 @@ def read_mask(path: Path, width: int, height: int) -> BoolArray:
     ``width`` and ``height`` are those of the image that it belongs to. Raises InputError where the mask cannot be read
     or has another size.
     """
+    source = open_mask(path, width, height)
+    return np.asarray(source.read(source.extent) != 0)
+
+
+def open_mask(path: Path, width: int, height: int) -> ImageSource:
+    """Open the image of a mask; raises InputError as ``read_mask`` does."""
     source = hold_image(path)
     if (source.width, source.height) != (width, height):
         raise InputError(f"{path}: the mask is {source.width}x{source.height} px, but its image is "
                          f"{width}x{height} px; give a mask of the image's size")
-    return np.asarray(source.read(source.extent) != 0)
+    return source

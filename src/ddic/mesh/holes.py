@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.mesh.plane import is_inside_edges, is_simple_polygon, multiply_across, subdivide
+from ddic.mesh.raster import SNAP
 
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1, pixels."""
@@ -54,6 +56,15 @@ class Circle:
         angles = np.linspace(0, 2 * np.pi, 4 * int(2 + self.radius / step * np.pi / 2), endpoint=False)
         return np.asarray(np.array(self.center) + self.radius * np.column_stack([np.cos(angles), np.sin(angles)]))
 
+    # It may be larger than any image.
+    @np.errstate(over="ignore")
+    def find_pixels(self, window: Window) -> BoolArray:
+        """Find the pixels of a window whose centres lie inside, (window.height, window.width)."""
+        x, y = self.center
+        down = np.abs(np.arange(window.y0, window.y1) - y)
+        half_width = np.sqrt(np.maximum((self.radius - down) * (self.radius + down), 0.0))
+        return np.asarray(np.abs(np.arange(window.x0, window.x1) - x) < half_width[:, None])
+
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the circle, pixels, negative inside."""
         return np.asarray(np.linalg.norm(points - np.array(self.center), axis=1) - self.radius)
@@ -87,6 +98,24 @@ class Polygon:
     def list_points(self, step: float) -> Array:
         """List points of the outline, (n, 2), each at most a step from the next, pixels."""
         return subdivide(np.concatenate([self.vertices, self.vertices[:1]]), step)
+
+    # It may be larger than any image.
+    @np.errstate(over="ignore")
+    def find_pixels(self, window: Window) -> BoolArray:
+        """Find the pixels of a window whose centres lie inside, (window.height, window.width).
+
+        Of those on the outline the left and the upper ones do, as those of cells.
+        """
+        rows = np.arange(window.y0, window.y1)
+        turns = np.zeros((window.height, window.width + 1), dtype=bool)
+        for side in self._edges:
+            (xa, ya), (xb, yb) = side[side[:, 1].argsort()]
+            crossed = rows[(ya <= rows) & (rows < yb)]
+            share = (crossed - ya) / (yb - ya)
+            # Rounded as crossings of cells: a number that rounding has lifted a little is no pixel further.
+            first = np.ceil(np.round(((1.0 - share) * xa + share * xb) * SNAP) / SNAP)
+            turns[crossed - window.y0, np.clip(first - window.x0, 0, window.width).astype(np.int64)] ^= True
+        return np.asarray(np.logical_xor.accumulate(turns, axis=1)[:, :-1])
 
     def measure_distance(self, points: Array) -> Array:
         """Measure the distance to the polygon, pixels, negative inside."""

@@ -68,7 +68,9 @@ def draw_case(image: Path | str, case: Path | str = "case.toml", deformed: Seque
     from ddic.page.drawn_case import open_drawn_case
     from ddic.page.server import start_in_thread
 
-    drawn = open_drawn_case(Path(image), Path(case), [Path(path) for path in deformed])
+    # Read later too, wherever the program is by then.
+    named = [Path(path).absolute() for path in deformed]
+    drawn = open_drawn_case(Path(image).absolute(), Path(case).absolute(), named)
     return NotebookPage(start_in_thread(partial(make_draw_page, drawn)))
 
 
@@ -94,6 +96,9 @@ def view_results(*paths: Path | str) -> NotebookPage:
     from ddic.page.server import start_in_thread
     from ddic.page.view import make_view_page, open_results
 
-    files = [Path(path) for path in paths]
+    if Path() in paths:
+        raise InputError("result: is in memory only, and a page shows files; measure with output=\"result.vtkhdf\", "
+                         "then view the result")
+    files = [Path(path).absolute() for path in paths]
     open_results(files)
     return NotebookPage(start_in_thread(partial(make_view_page, files, [])))

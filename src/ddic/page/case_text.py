@@ -6,6 +6,7 @@ All else in the text, comments too, stays as it was written.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -24,18 +25,17 @@ Form = Literal["box", "polygon", "circle", "line"]
 FEWEST = {"box": 2, "polygon": 3, "circle": 2, "line": 2}
 """Clicks of each form: two opposite corners, the vertices, the centre and a point of the circle, the vertices."""
 
-CLICKS = {
-    "box": "click two opposite corners",
-    "polygon": "click its vertices, then Finish or a double click",
-    "circle": "click its centre, then its rim",
-    "line": "click its vertices, then Finish or a double click",
-}
+VERTICES = "click its vertices, then Finish or a double click"
+
+CLICKS = {"box": "click two opposite corners", "polygon": VERTICES, "circle": "click its centre, then its rim",
+          "line": VERTICES}
 
 N_SIDES = 72
 """Sides of the polygon that a circle is drawn as."""
 
-MESH = ("mesh", "structured")
+MESH, BY_GMSH = ("mesh", "structured"), ("mesh", "unstructured")
 REGION = (*MESH, "region")
+MASKED = ("images", "masked")
 LINES = ("discontinuity",)
 NEAR = ("near", "region")
 
@@ -49,7 +49,7 @@ class Kind:
     name : str
         As the page calls it.
     keys : tuple of str
-        Where it stands in the case file: sections and key.
+        Where it stands in the case file: sections and key; of a mesh by gmsh see ``find_keys``.
     form : {"box", "polygon", "circle", "line"}
         How it is written there.
     several : bool
@@ -73,6 +73,9 @@ KINDS = (
     Kind("region: circle", REGION, "circle"),
     Kind("hole: circle", (*MESH, "circles"), "circle", several=True),
     Kind("hole: polygon", (*MESH, "polygons"), "polygon", several=True),
+    Kind("mask: rectangle", MASKED, "box", several=True),
+    Kind("mask: polygon", MASKED, "polygon", several=True),
+    Kind("mask: circle", MASKED, "circle", several=True),
     Kind("line: crack, shear band", LINES, "line", several=True),
     Kind("edge not controlled: box", ("regularization", "boxes"), "box", several=True),
     Kind("near field: window", NEAR, "box", several=True),
@@ -159,9 +162,16 @@ def list_shapes(data: Mapping[str, Any]) -> list[Shape]:
     return shapes
 
 
+def find_keys(keys: tuple[str, ...], data: Mapping[str, Any]) -> tuple[str, ...]:
+    """Find where a case holds what others have in [mesh.structured]: in [mesh.unstructured] where it has that."""
+    mesh = data.get(MESH[0])
+    is_by_gmsh = keys[:2] == MESH and isinstance(mesh, Mapping) and BY_GMSH[1] in mesh
+    return BY_GMSH + keys[2:] if is_by_gmsh else keys
+
+
 def _list_values(kind: Kind, data: Any) -> list[tuple[int, Any]]:
     """Values of a kind's key with their places in its list."""
-    for step, key in enumerate(kind.keys):
+    for step, key in enumerate(find_keys(kind.keys, data)):
         if isinstance(data, list):
             # A key in each of several sections, as near.region.
             rest = kind.keys[step:]
@@ -199,6 +209,8 @@ def set_shape(text: str, shape: Shape) -> str:
         _set(holder, key, [])
     if not isinstance(holder[key], list):
         raise InputError(f"{key}: is no list in this text; correct it there")
+    if isinstance(holder[key], items.AoT) and not isinstance(value, dict):
+        raise InputError(f"{key}: sections hold no rectangle; draw a polygon, or write {key} = [...] in the text")
     _set_in_list(holder[key], shape.place, value)
     return _write(document)
 
@@ -218,11 +230,24 @@ def remove_shape(text: str, shape: Shape) -> str:
 def set_number(text: str, keys: tuple[str, ...], value: float | None) -> str:
     """Set a number of a section, or take it out where it is None, and the section that it leaves empty."""
     document = _parse(text)
-    section = _find_section(document, keys[:-1])
+    section = _find_section(document, find_keys(keys, document)[:-1])
     if value is None:
         return _remove_key(document, section, keys[-1])
     _set(section, keys[-1], value)
     return _write(document)
+
+
+MESH_HEADER = re.compile(r"^(\s*\[{1,2}\s*mesh\s*\.\s*)(?:un)?structured\b", re.MULTILINE)
+
+
+def set_mesh(text: str, name: str) -> str:
+    """Have the region meshed by ``structured`` or ``unstructured`` cells: the headers of its sections change alone."""
+    changed = MESH_HEADER.sub(rf"\g<1>{name}", text)
+    mesh = tomlkit.parse(changed).get(MESH[0])
+    if not isinstance(mesh, dict) or list(mesh) != [name]:
+        raise InputError("mesh: no section [mesh.structured] or [mesh.unstructured] alone describes it in this text; "
+                         "correct it there")
+    return changed
 
 
 def _parse(text: str) -> Any:
@@ -260,7 +285,7 @@ def _cut_section(document: Any, section: items.Table) -> str:
 def _find_holder(document: Any, shape: Shape) -> Any:
     """The section that holds the key of a shape."""
     if shape.kind.keys != NEAR:
-        return _find_section(document, shape.kind.keys[:-1])
+        return _find_section(document, find_keys(shape.kind.keys, document)[:-1])
     sections = document.get(NEAR[0], [])
     if not isinstance(sections, list) or shape.place >= len(sections):
         raise InputError(f"near field {shape.place + 1}: there is no such [[near]] section; write it with its images "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 
 from bokeh.events import DoubleTap, Tap
@@ -11,10 +12,14 @@ from bokeh.models import Button, ColumnDataSource, Div, Select
 from ddic.page.case_text import Point
 from ddic.page.image_pane import ImagePane
 
-NOTHING = "(move and zoom)"
+NOTHING = "(nothing)"
+"""The first choice of a list."""
 
 SAME_CLICK = 4.0
 """Pixels of the screen within which a click repeats the one before it, as both of a double click do."""
+
+DOUBLE_CLICK_S = 0.5
+"""Seconds from one click that ends a shape to another at its place, within which they are both of a double one."""
 
 Snap = Callable[[Point, float], Point]
 """Moves a point, pixels, to something within a distance of it."""
@@ -39,6 +44,8 @@ class ClickDrawer:
                  done: Callable[[str, list[Point]], None], snap: Snap | None = None) -> None:
         self._pane, self._forms, self._done, self._snap = pane, forms, done, snap
         self._points: list[Point] = []
+        self._last: Point | None = None
+        self._end_time = 0.0
         self.choice = Select(title="Draw", value=NOTHING, options=[NOTHING, *forms])
         self.finish = Button(label="Finish", disabled=True)
         self.hint = Div(text="")
@@ -58,8 +65,11 @@ class ClickDrawer:
         if self.choice.value not in self._forms:
             return
         pitch = self._pane.pitch
-        point = (float(event.x), float(event.y))
-        if self._points and math.dist(point, self._points[-1]) < SAME_CLICK * pitch:
+        point, last = (float(event.x), float(event.y)), self._last
+        # Not the point that came of it, which may have snapped to something.
+        self._last = point
+        is_recent = bool(self._points) or time.monotonic() - self._end_time < DOUBLE_CLICK_S
+        if last is not None and is_recent and math.dist(point, last) < SAME_CLICK * pitch:
             return
         if self._snap is not None:
             point = self._snap(point, 2.0 * SAME_CLICK * pitch)
@@ -79,6 +89,7 @@ class ClickDrawer:
         if name in self._forms and len(points) >= self._forms[name][0]:
             self._set_points([])
             self._done(name, points)
+            self._end_time = time.monotonic()
 
     def _set_points(self, points: list[Point]) -> None:
         self._points = points

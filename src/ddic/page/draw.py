@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from html import escape
+from typing import Any
 
 import numpy as np
 from bokeh.document import Document
@@ -33,6 +35,7 @@ from ddic.errors import InputError
 from ddic.io.result_schema import not_converged_path
 from ddic.page.case_run import RunBox
 from ddic.page.case_text import (
+    BY_GMSH,
     BY_NAME,
     CLICKS,
     FEWEST,
@@ -40,9 +43,11 @@ from ddic.page.case_text import (
     Kind,
     Point,
     Shape,
+    find_keys,
     find_place,
     list_shapes,
     remove_shape,
+    set_mesh,
     set_number,
     set_shape,
 )
@@ -52,11 +57,19 @@ from ddic.page.image_pane import ImagePane, Rgba, ScreenRaster
 from ddic.page.layers import Overlay, draw_edges, draw_field
 from ddic.page.probe_box import FORMS, ProbeBox
 from ddic.page.view import show_results
+from ddic.probes.probes import parse_probes
+
+PROBES = ".probes.toml"
+"""In place of the suffix of the case: the file of its probes."""
 
 EDGES, TEXTURE, WEAK = "mesh", "texture by element", "nodes of weak texture"
 
 STRENGTHS = (-2.0, 1.0)
 """Decimal logarithms of the texture that colours show, where 0 is that of most of the pattern."""
+
+WRONG, DOUBTFUL, DONE = "#b00020", "#8a5a00", "#1b6e20"
+"""Colours of what is told."""
+
 
 class _DrawPage:
     """One tab of ``ddic draw``.
@@ -73,13 +86,16 @@ class _DrawPage:
         self._drawn, self._document = drawn, document
         self._checked = Checked(None, None, None, [])
         self._outline = np.zeros((0, 2))
-        self._file = CaseFile(drawn.path)
+        self._file, self._probes_file = CaseFile(drawn.path), CaseFile(drawn.path.with_suffix(PROBES))
         self._undone: list[str] = []
         self._worker = ThreadPoolExecutor(1)
         self._n_asked = 0
         self.pane = ImagePane(drawn.image, [self._draw])
+        # What the text says, or said before it was broken.
+        self._data: dict[str, Any] = {}
         self._shapes: dict[str, Shape] = {}
         self._make_controls()
+        self.probes.text.value = self._probes_file.text or ""
         # At once: the check of a large case takes seconds.
         self.pane.draw()
         self._follow_text()
@@ -111,6 +127,7 @@ class _DrawPage:
         self.numbers = TextInput(title="Its points: x, y; x, y; ... (px)", width=430)
         self.remove = Button(label="Remove")
         self.undo = Button(label="Undo")
+        self.mesh = Select(title="Mesh", options=[(MESH[1], "regular"), (BY_GMSH[1], "by gmsh")], width=100)
         self.element_size = NumericInput(title="Element size (px)", mode="float", width=130)
         self.wavelength = NumericInput(title="Cut-off wavelength (px)", mode="float", width=130)
         self.shown = CheckboxGroup(labels=[EDGES, TEXTURE, WEAK], active=[0], inline=True)
@@ -121,6 +138,7 @@ class _DrawPage:
         self.numbers.on_change("value", lambda attribute, old, new: self._type_numbers(new))
         self.remove.on_click(self._remove)
         self.undo.on_click(self._undo)
+        self.mesh.on_change("value", lambda attribute, old, new: self._choose_mesh(new))
         for box, keys in ((self.element_size, (*MESH, "element_size")),
                           (self.wavelength, ("regularization", "cut_off_wavelength"))):
             box.on_change("value", partial(self._set_number, keys))
@@ -133,7 +151,7 @@ class _DrawPage:
         right = column(
             row(self.drawer.choice, column(self.drawer.finish, self.undo)), self.drawer.hint,
             row(self.chosen, self.remove), self.numbers,
-            row(self.element_size, self.wavelength), self.shown, self.messages,
+            row(self.mesh, self.element_size, self.wavelength), self.shown, self.messages,
             row(self.write, *self.running.controls), self.running.log)
         left = column(self.pane.figure)
         drawing = TabPanel(title="Draw", child=row(left, right, column(self.text, self.probes.text)))
@@ -204,8 +222,14 @@ class _DrawPage:
         return Shape(kind, tuple(points), place)
 
     def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
-        if new != _find_number(self.text.value, keys):
+        if new != _find_number(self._data, keys):
             self._change(lambda text: set_number(text, keys, new))
+
+    def _choose_mesh(self, name: str) -> None:
+        if name != find_mesh(self._data):
+            self._change(lambda text: set_mesh(text, name))
+            # Where the text could not be changed.
+            self.mesh.value = find_mesh(self._data)
 
     def _change(self, change: Callable[[str], str]) -> None:
         try:
@@ -216,21 +240,19 @@ class _DrawPage:
     def _follow_text(self) -> None:
         """Draw what the text says, and have it checked; of texts that follow one another fast, the last one."""
         text = self.text.value
-        try:
-            data = tomllib.loads(text)
-        except (ValueError, RecursionError):
-            data = None
-        if data is not None:
-            self._shapes = {shape.name: shape for shape in list_shapes(data)}
-            outlines = [shape.outline for shape in self._shapes.values()]
-            self._lines.data = {"xs": [outline[:, 0].tolist() for outline in outlines],
-                                "ys": [outline[:, 1].tolist() for outline in outlines]}
-            self.chosen.options = list(self._shapes)
-            if self.chosen.value not in self._shapes:
-                self.chosen.value = next(iter(self._shapes), "")
-            self._show_numbers()
-            self.element_size.value = _find_number(text, (*MESH, "element_size"))
-            self.wavelength.value = _find_number(text, ("regularization", "cut_off_wavelength"))
+        with suppress(ValueError, RecursionError):
+            self._data = tomllib.loads(text)
+        self._shapes = {shape.name: shape for shape in list_shapes(self._data)}
+        outlines = [shape.outline for shape in self._shapes.values()]
+        self._lines.data = {"xs": [outline[:, 0].tolist() for outline in outlines],
+                            "ys": [outline[:, 1].tolist() for outline in outlines]}
+        self.chosen.options = list(self._shapes)
+        if self.chosen.value not in self._shapes:
+            self.chosen.value = next(iter(self._shapes), "")
+        self._show_numbers()
+        self.mesh.value = find_mesh(self._data)
+        self.element_size.value = _find_number(self._data, (*MESH, "element_size"))
+        self.wavelength.value = _find_number(self._data, ("regularization", "cut_off_wavelength"))
         self._n_asked += 1
         self._worker.submit(self._check, self._n_asked, text)
 
@@ -252,15 +274,15 @@ class _DrawPage:
         self._draw_again()
         self._tell(checked.problems)
 
-    def _tell(self, problems: Sequence[str]) -> None:
-        """Say what is wrong, or what the check found."""
-        if problems or self._checked.problems:
-            said = "<br>".join(escape(line) for line in problems or self._checked.problems)
-            self.messages.text = f'<div style="color: #b00020">{said}</div>'
-        elif self._checked.report is not None:
-            rows = "".join(f"<tr><td><b>{escape(name)}</b></td><td>{escape(value)}</td></tr>"
-                           for name, value in self._checked.report.list_lines())
-            self.messages.text = f"<table>{rows}</table>"
+    def _tell(self, problems: Sequence[str], done: Sequence[str] = ()) -> None:
+        """Say what is wrong, or what was done and what the check found."""
+        problems = problems or self._checked.problems
+        lines = [] if problems or self._checked.report is None else self._checked.report.list_lines()
+        rows = "".join(f"<tr><td><b>{escape(name)}</b></td><td>{escape(value)}</td></tr>" for name, value in lines)
+        told = {WRONG: problems, DONE: done, DOUBTFUL: self._checked.warnings}
+        texts = [f'<div style="color: {colour}">{"<br>".join(map(escape, said))}</div>'
+                 for colour, said in told.items() if said]
+        self.messages.text = "".join(texts) + f"<table>{rows}</table>"
 
     def _show_wavelength(self) -> None:
         """The cut-off wavelength to scale, at the upper left corner of the mesh."""
@@ -312,12 +334,20 @@ class _DrawPage:
     # The case is written and run.
 
     def _write(self) -> bool:
-        """Write the file; return whether it holds the text."""
+        """Write the file, and the probes beside it; return whether they hold the texts."""
+        path, probes = self._file.path, self._probes_file.path
+        done = [f"the case was written to {path.absolute()}"]
         try:
+            n_probes = len(parse_probes(self.probes.text.value, probes))
             self._file.write(self.text.value)
+            if self.probes.text.value != (self._probes_file.text or ""):
+                self._probes_file.write(self.probes.text.value)
+                done.append(f"the probes ({n_probes}) were written to {probes.absolute()}, for ddic probe RESULT "
+                            f"--probes {probes.name}")
         except (InputError, OSError) as error:
             self._tell([str(error)])
             return False
+        self._tell([], done)
         return True
 
     def _open_result(self) -> None:
@@ -336,14 +366,20 @@ class _DrawPage:
         self._tabs.active = 1
 
 
-def _find_number(text: str, keys: tuple[str, ...]) -> float | None:
-    """A number of a text; None where there is none."""
+def find_mesh(data: Mapping[str, Any]) -> str:
+    """Name the section of the region that is meshed; empty where there is none."""
+    mesh = data.get(MESH[0])
+    name = find_keys(MESH, data)[1]
+    return name if isinstance(mesh, Mapping) and name in mesh else ""
+
+
+def _find_number(data: Any, keys: tuple[str, ...]) -> float | None:
+    """A number of a parsed case; None where there is none."""
     try:
-        data = tomllib.loads(text)
-        for key in keys:
+        for key in find_keys(keys, data):
             data = data[key]
         return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
-    except (ValueError, KeyError, TypeError, OverflowError):
+    except (KeyError, TypeError, OverflowError):
         return None
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -66,12 +68,15 @@ class Checked:
         Where nothing is wrong.
     problems : sequence of str
         One line each.
+    warnings : sequence of str
+        What may not be meant, one line each.
     """
 
     loaded: LoadedCase | None
     mesh: Mesh | None
     report: CheckReport | None
     problems: Sequence[str]
+    warnings: Sequence[str] = ()
 
     @cached_property
     def outline(self) -> IntArray:
@@ -79,8 +84,20 @@ class Checked:
         return np.zeros((0, 2), dtype=np.int64) if self.mesh is None else find_boundary_facets(self.mesh)[:, :2]
 
 
+ONE_CHECK = Lock()
+"""Warnings are gathered, and gmsh is used, by one thread of a process at a time."""
+
+
 def check_text(text: str, drawn: DrawnCase) -> Checked:
     """Check the text of a case as ``ddic check`` checks its file; its mesh comes also where something else is wrong."""
+    with ONE_CHECK, warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always", UserWarning)
+        checked = _check_text(text, drawn)
+    lines = [str(warning.message) for warning in warned if issubclass(warning.category, UserWarning)]
+    return replace(checked, warnings=list(dict.fromkeys(lines)))
+
+
+def _check_text(text: str, drawn: DrawnCase) -> Checked:
     loaded, problems = load_text_leniently(text, drawn.path)
     if loaded is None:
         return Checked(None, None, None, problems)
@@ -127,7 +144,9 @@ def _is_drawn_on(loaded: LoadedCase, image: Path) -> bool:
 
 
 class CaseFile:
-    """The file of a case as one tab found and wrote it: it is not written over what somebody else wrote since.
+    """The file of a case, or of its probes, as one tab found and wrote it.
+
+    It is not written over what somebody else wrote since.
 
     Parameters
     ----------
@@ -136,20 +155,20 @@ class CaseFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self.text = self._read()
 
     def _read(self) -> str | None:
-        return read_text(self._path, "case file", "check the path") if self._path.exists() else None
+        return read_text(self.path, "case file", "check the path") if self.path.exists() else None
 
     def write(self, text: str) -> None:
         """Write the file, whole or not at all; raises InputError where it is another one by now."""
         if self._read() != self.text:
-            raise InputError(f"{self._path}: was changed since this page was opened; reload the page")
-        remove_abandoned(self._path.parent)
+            raise InputError(f"{self.path}: was changed since this page was opened; reload the page")
+        remove_abandoned(self.path.parent)
         # Lines end as they did.
-        ends = "\r\n" if self.text is not None and b"\r\n" in self._path.read_bytes() else "\n"
-        with replaced_on_exit(self._path) as temporary:
+        ends = "\r\n" if self.text is not None and b"\r\n" in self.path.read_bytes() else "\n"
+        with replaced_on_exit(self.path) as temporary:
             temporary.write_text(text, encoding="utf-8", newline=ends)
         self.text = text
 

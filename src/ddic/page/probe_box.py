@@ -31,11 +31,13 @@ from ddic.probes.probes import (
 )
 from ddic.probes.tables import ProbeRecord, average_along, measure_probes
 
+BOTH_ENDS = "click both ends"
+
 FORMS = {
     "probe: point": (1, False, "click the point"),
-    "probe: line": (2, False, "click both ends"),
-    "probe: extensometer": (2, False, "click both ends"),
-    "probe: gauge": (2, False, "click both ends of the gauge length: a square about its middle, which text can change"),
+    "probe: line": (2, False, BOTH_ENDS),
+    "probe: extensometer": (2, False, BOTH_ENDS),
+    "probe: gauge": (2, False, f"{BOTH_ENDS} of the gauge length: a square about its middle, which text can change"),
 }
 
 LINE_SPACING = 1.0

@@ -35,7 +35,7 @@ from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_text import Point
-from ddic.page.clicks import ClickDrawer
+from ddic.page.clicks import NOTHING, ClickDrawer
 from ddic.page.frames import (
     BY_NAME,
     FIELDS,
@@ -55,7 +55,7 @@ from ddic.plots import canvas, figures, maps
 from ddic.probes.probes import Probe
 from ddic.probes.tables import write_probe_table
 
-NOTHING, DIFFERENCE = "(nothing)", "difference"
+DIFFERENCE = "difference"
 MOVED, HATCHED = "over the deformed image", "hatch excluded and doubtful cells"
 PALETTES = ("viridis", "cividis", "magma", "turbo", "RdBu_r", "gray")
 FORMATS = ("png", "svg", "pdf")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddic.arrays import Array, BoolArray
-from ddic.case.schema import Case, RegionSection, RegularizationSection
+from ddic.case.schema import Case, RegularizationSection, ShapeSection
 from ddic.errors import InputError, as_collective
 from ddic.functionals.regularization import find_cut_off_weight, find_edge_weight
 from ddic.images.sub_image import DeformedSubImage, read_reference
@@ -90,14 +90,14 @@ def build_rectangle(case: Case) -> Rectangle:
     if section is None:
         key = "mesh.file" if case.mesh.unstructured is None else "mesh.unstructured"
         raise InputError(f"{key}: [pgd] measures on a rectangle of Q4 elements; describe it by [mesh.structured]")
-    if isinstance(section.region, RegionSection):
+    if isinstance(section.region, ShapeSection):
         raise InputError("mesh.structured.region: [pgd] measures whole rectangles; give [x0, y0, x1, y1]")
     if section.cell != "Q4":
         raise InputError(f'mesh.structured.cell = "{section.cell}": [pgd] measures on "Q4" elements; leave the key out')
     given = [key for key in ("circles", "polygons", "mask") if getattr(section, key)]
     if given:
         raise InputError(f"mesh.structured.{given[0]}: [pgd] measures whole rectangles; leave pixels out by "
-                         "images.reference_mask")
+                         "images.reference_mask or images.masked")
     if section.element_size < SMALLEST_ELEMENT:
         raise InputError(f"mesh.structured.element_size = {section.element_size:g}: smaller than a pixel; give "
                          f"{SMALLEST_ELEMENT:g} or more")
@@ -257,7 +257,7 @@ def _read_reference_pixels(team: Team, inputs: Inputs, rectangle: Rectangle) -> 
     reference = team.together(read)
     if not team.sum(count_usable(reference.bands)):
         raise as_collective(InputError(
-            "images.reference_mask: it leaves out every pixel of mesh.structured.region; check both"))
+            "images.reference_mask, images.masked: leave out every pixel of mesh.structured.region; check them"))
     return reference
 
 

@@ -177,6 +177,8 @@ def _list_images(gathered: Gathered) -> Items:
     levels = [(f"Grey levels, {name}", _describe_levels(gathered.images.get(name)))
               for name in ("reference", "deformed")]
     masks = [f"{what} image" for what in ("reference", "deformed") if section.get(f"{what}_mask")]
+    n_shapes = len(section.get("masked", ()))
+    masks += [f"{n_shapes} shapes drawn on the reference image"] if n_shapes else []
     return [("Image size", f"{shape[0]} x {shape[1]} px" if shape else NOT_RECORDED), *levels,
             ("Feature size of the pattern", _describe_features(gathered)), ("Image noise", _describe_noise(gathered)),
             ("Masks", " and ".join(masks) or "none" if section else NOT_RECORDED),
