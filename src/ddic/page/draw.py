@@ -153,9 +153,10 @@ class _DrawPage:
             row(self.chosen, self.remove), self.numbers,
             row(self.mesh, self.element_size, self.wavelength), self.shown, self.messages,
             row(self.write, *self.running.controls), self.running.log)
-        left = column(self.pane.figure)
-        drawing = TabPanel(title="Draw", child=row(left, right, column(self.text, self.probes.text)))
-        self._tabs = Tabs(tabs=[drawing])
+        # Texts go below the image where the screen is narrow.
+        drawing = row(column(self.pane.figure), right, column(self.text, self.probes.text),
+                      styles={"flex-wrap": "wrap"}, width_policy="max")
+        self._tabs = Tabs(tabs=[TabPanel(title="Draw", child=drawing)], width_policy="max")
         return self._tabs
 
     # What is clicked or typed changes the text, and all else follows from that.
