@@ -228,7 +228,9 @@ def draw_measured() -> Iterator[Path]:
 if __name__ == "__main__":
     if sys.argv[1:]:
         sys.exit(__doc__)
-    with tempfile.TemporaryDirectory() as temporary:
-        into = Path(temporary)
-        for path in chain(draw_examples(into), draw_pages(into), draw_measured()):
-            print(f"replaced: {path.stem}", flush=True)
+    # One name each time, for a page shows it.
+    into = Path(tempfile.gettempdir()) / "ddic_pictures"
+    shutil.rmtree(into, ignore_errors=True)
+    for path in chain(draw_examples(into), draw_pages(into), draw_measured()):
+        print(f"replaced: {path.stem}", flush=True)
+    shutil.rmtree(into)
