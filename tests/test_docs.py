@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from accept.support.unrun_blocks import CHECKS, find_faults
+from accept.support.unrun_blocks import CHECKS, find_faults, find_spoken_faults
 from ddic.case import schema
 from ddic.case.schema import find_section
 
@@ -198,6 +198,17 @@ def test_blocks_that_are_not_run_say_what_exists(document: Path) -> None:
 ])
 def test_wrong_blocks_are_found(language: str, text: str, fault: str) -> None:
     assert fault in "; ".join(CHECKS[language](text))
+
+
+@pytest.mark.parametrize(("code", "fault"), [
+    ("ddic plot result.vtkhdf --colour red", "ddic plot takes no --colour"),
+    ("make accept-pgd CHECK=noise", "make knows no noise"),
+    ("ddic.measure(..., options=1)", "ddic.measure takes no options"),
+    ("[mesh.grid]", "there is no section mesh.grid"),
+    ("gauss_newton.iterations = 3", "there is no key gauss_newton.iterations"),
+])
+def test_wrong_code_in_sentences_is_found(code: str, fault: str) -> None:
+    assert find_spoken_faults(code) == [fault]
 
 
 def test_tour_is_the_demo() -> None:

@@ -25,9 +25,10 @@ import click
 
 import ddic
 from accept.support.follow_page import FENCE, Block, read_blocks
+from accept.tables import TABLES
 from bench.support.runs import ROOT
 from ddic.case.loader import convert_shorthand, convert_to_case
-from ddic.case.schema import Case
+from ddic.case.schema import Case, find_section, list_sections
 from ddic.cli.app import command_line
 from ddic.errors import InputError
 from ddic.io.mapping_file import read_mapping_file
@@ -96,12 +97,18 @@ def find_faults(page: Path) -> list[str]:
               if f"{name}: {block.language}" not in ONLY_READ for fault in CHECKS[block.language](block.text)]
     spoken = FENCE.sub("", page.read_text(encoding="utf-8"))
     for code in re.findall(r"`([^`\n]+)`", spoken):
-        check = _find_command_faults if re.match(r"(ddic|make) ", code) else find_name_faults
-        faults += [f"{name}: `{code}`: {fault}" for fault in check(code)]
+        faults += [f"{name}: `{code}`: {fault}" for fault in find_spoken_faults(code)]
     return faults
 
 
-def find_toml_faults(text: str) -> list[str]:
+def find_spoken_faults(code: str) -> list[str]:
+    """Find what is wrong with code in a sentence: a command, a name of ddic, a section or a key of a case."""
+    if re.match(r"(ddic|make) ", code):
+        return _find_command_faults(code)
+    return [*_find_name_faults(code), *_find_key_faults(code)]
+
+
+def _find_toml_faults(text: str) -> list[str]:
     """Validate a file of probes, a mapping file, or a case, of which only a part may be given."""
     data = tomllib.loads(text)
     try:
@@ -138,7 +145,7 @@ def _find_output_faults(text: str) -> list[str]:
     return [f"no example prints {line!r}" for line in text.splitlines() if line not in printed]
 
 
-def find_shell_faults(text: str) -> list[str]:
+def _find_shell_faults(text: str) -> list[str]:
     """Let the shell read commands, and find words of ddic and make that do not exist."""
     read = subprocess.run(["bash", "-n"], input=text, text=True, capture_output=True, check=False)
     lines = text.replace("\\\n", " ").splitlines()
@@ -152,10 +159,19 @@ def _find_command_faults(line: str) -> list[str]:
         if "ddic" in names and names[0] in ("ddic", *LAUNCHERS):
             faults += _find_option_faults(words[names.index("ddic") + 1:])
         elif names[:1] == ["make"]:
-            targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-            asked = [word for word in words[1:] if re.fullmatch(r"[a-z-]+", word)]
-            faults += [f"make knows no {word}" for word in asked if word not in targets]
+            faults += _find_target_faults(words[1:])
     return faults
+
+
+def _find_target_faults(words: list[str]) -> list[str]:
+    """Find targets, and checks of acceptance tables, that make does not know."""
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    asked = [word for word in words if re.fullmatch(r"[a-z-]+", word)]
+    tables = [TABLES[word.removeprefix("accept-")] for word in asked if word.removeprefix("accept-") in TABLES]
+    checks = [word.removeprefix("CHECK=") for word in words if re.fullmatch(r"CHECK=[a-z_]+", word)]
+    return [f"make knows no {word}"
+            for word in [*(word for word in asked if word not in targets),
+                         *(check for check in checks if not any(check in table for table in tables))]]
 
 
 def _split_commands(line: str) -> Iterator[list[str]]:
@@ -187,7 +203,23 @@ def _find_option_faults(words: list[str]) -> list[str]:
     return [f"{' '.join(['ddic', *words[:1]])} takes no {option}" for option in options if option not in known]
 
 
-def find_name_faults(code: str) -> list[str]:
+def _find_key_faults(code: str) -> list[str]:
+    """Find sections and keys of a case that do not exist, of ``[section]`` and ``key = value``; else no faults."""
+    section = re.fullmatch(r"\[{1,2}([a-z_.]+)\]{1,2}", code)
+    if section is not None:
+        project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        is_known = find_section(tuple(section[1].split("."))) or section[1] in project["optional-dependencies"]
+        return [] if is_known else [f"there is no section {section[1]}"]
+    key = re.fullmatch(r"([a-z_.]+) = .+", code)
+    if key is None:
+        return []
+    *place, name = key[1].split(".")
+    homes = [home for home in [((), Case), *list_sections()] if name in home[1].model_fields]
+    is_there = any(list(keys[len(keys) - len(place):]) == place for keys, _ in homes)
+    return [] if is_there else [f"there is no key {key[1]}"]
+
+
+def _find_name_faults(code: str) -> list[str]:
     """Find names of ddic that do not exist, and keywords that its functions do not take; other text has no faults."""
     try:
         tree = ast.parse(code)
@@ -209,7 +241,7 @@ def find_name_faults(code: str) -> list[str]:
 
 def _find_program_faults(text: str) -> list[str]:
     ast.parse(text)
-    return find_name_faults(text)
+    return _find_name_faults(text)
 
 
 def _look_up(dotted: str) -> Any:
@@ -227,6 +259,6 @@ def _look_up(dotted: str) -> Any:
 
 
 CHECKS: dict[str, Callable[[str], list[str]]] = {
-    "toml": find_toml_faults, "csv": _find_table_faults, "text": _find_output_faults, "sh": find_shell_faults,
+    "toml": _find_toml_faults, "csv": _find_table_faults, "text": _find_output_faults, "sh": _find_shell_faults,
     "python": _find_program_faults}
 """By the language of a fence."""
