@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from accept.pages import SMALL, build_site, copy_repository, list_pages, measure_followed
+from accept.pages import MOST_FAULTS, PRINTED, SMALL, build_site, copy_repository, list_pages, measure_followed
 from accept.support.follow_page import FENCE
 from accept.support.unrun_blocks import ONLY_READ, find_faults, list_unrun
 from accept.table import Scale
@@ -28,12 +28,6 @@ ANSWER_S = 20
 
 UNLIKE = {"pgd_against_dual"}
 """Figures that never look the same: they show times."""
-
-_MOST_FAULTS = 10
-"""Faults that a row shows."""
-
-_LAST = 400
-"""Characters of a program's last words that a row shows."""
 
 
 def measure_documents(scale: Scale) -> list[Row]:
@@ -72,7 +66,7 @@ def _measure_figures() -> Row:
     replaced = re.findall(r"^replaced: (.*)$", done.stdout, re.MULTILINE)
     left = re.findall(r"^left as .*$", done.stdout, re.MULTILINE)
     n_kept = len(list((ROOT / "docs" / "pictures").iterdir()))
-    shown = (f"exit code {done.returncode}: {done.stderr[-_LAST:]}" if done.returncode
+    shown = (f"exit code {done.returncode}: {done.stderr[-PRINTED:]}" if done.returncode
              else "; ".join([f"others: {', '.join(replaced) or 'none'}", *left]))
     return Row(f"{n_kept} figures of the documents, drawn anew (make pictures)",
                f"look as before, but for {', '.join(UNLIKE)}", shown,
@@ -111,4 +105,4 @@ def _ask(link: str) -> str:
 
 
 def _show(faults: list[str]) -> str:
-    return "; ".join(faults[:_MOST_FAULTS]) or "none"
+    return "; ".join(faults[:MOST_FAULTS]) or "none"

@@ -78,7 +78,7 @@ NOBODY = 65534
 SMALL = ("examples/translation/README.md", "docs/guides/python.md")
 """What a smoke run follows: without a set-up of its own."""
 
-_MOST_FAULTS = 10
+MOST_FAULTS = 10
 """Faults that a row shows."""
 
 
@@ -121,7 +121,7 @@ def measure_followed(who: str, pages: Sequence[str], launcher: tuple[str, ...], 
             subprocess.run(["chown", "-R", f"{NOBODY}:{NOBODY}", str(folder)], check=True)
         found = _follow(folder, pages, launcher)
     held = not found.faults and found.commands > 0
-    shown = "; ".join(found.faults[:_MOST_FAULTS]) or "none"
+    shown = "; ".join(found.faults[:MOST_FAULTS]) or "none"
     return Row(f"{len(pages)} pages followed word by word in another folder as {who}",
                "no command fails, no printed line differs",
                f"{found.commands} commands, {found.numbers} printed numbers; faults: {len(found.faults)} ({shown}); "

@@ -1,14 +1,13 @@
 """All pictures of the documentation, in docs/pictures: make pictures draws them anew and names those that it replaced.
 
 Usage: python scripts/tour_pictures.py. Three kinds, a table of each below: those of runs of the examples, which make
-docs draws too; of the pages in the browser, which need Playwright and a Chromium; and of checks of acceptance tables,
+docs draws too; of the pages in the browser, which need a Chromium; and of checks of acceptance tables,
 one of which needs real images. What cannot be drawn here is named and left as it is.
 """
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -167,9 +166,11 @@ def draw_pages(folder: Path) -> Iterator[Path]:
     Path
         Pictures that were replaced.
     """
-    browser_found = shutil.which("chromium")
-    if browser_found is None or importlib.util.find_spec("playwright") is None:
-        print(f"left as they are: {', '.join(SCREEN)}: no Playwright or no Chromium is installed")
+    from accept.support.browser import find_browser
+
+    found = find_browser()
+    if found is None:
+        print(f"left as they are: {', '.join(SCREEN)}: no Chromium is installed")
         return
     from playwright.sync_api import Page, sync_playwright
 
@@ -185,7 +186,7 @@ def draw_pages(folder: Path) -> Iterator[Path]:
     series, probes = folder / "series" / "series.vtkhdf", load_probes(folder / "series" / "probes.toml")
     viewed = start_in_thread(partial(make_view_page, [series], probes))
     # The browser refuses to confine itself where it is root.
-    launched = {"executable_path": browser_found, "args": ["--no-sandbox"]}
+    launched = {"executable_path": found, "args": ["--no-sandbox"]}
     with chdir(folder / TOUR), sync_playwright() as playwright, playwright.chromium.launch(**launched) as browser:
         drawn = ddic.draw("images/reference.tif").address
         for name, address, prepare in (("page_draw", drawn, None), ("page_view", viewed, show_strain)):
