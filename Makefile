@@ -16,7 +16,7 @@ SIZE ?= 22000
 # Each of the many processes would else compile all modules anew, where the environment says so.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install setup demo test test-programs test-slurm test-hosts lint docs bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
+.PHONY: help install setup demo test test-programs test-slurm test-hosts lint docs pictures bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
 	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer trials smoke clean
 
@@ -62,6 +62,9 @@ lint: setup ## ruff, mypy, docstrings, the import contracts, and the import unde
 	$(PYTHON) scripts/check_docstrings.py
 	$(PYTHON) -c "from importlinter.cli import lint_imports_command as run; run()"
 	bash scripts/check_numpy2.sh
+
+pictures: $(DOCS_STAMP) ## draw all pictures of the documentation anew, minutes; those that look as before stay
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) scripts/tour_pictures.py
 
 docs: $(DOCS_STAMP) ## build the documentation into site/, without a warning
 	$(PYTHON) -m mkdocs build --strict --quiet

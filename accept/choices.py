@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from scipy.special import erf
 import ddic
 from accept.table import Scale
 from bench.support.rows import Row, append_result
-from bench.support.runs import ddic_run, images
+from bench.support.runs import ddic_command, ddic_run, environment, images
 from ddic.synth.fields import Kirsch, Sinusoidal
 
 MOST_TIMES_FASTEST = 1.25
@@ -172,6 +173,14 @@ def measure_sweep(scale: Scale) -> list[Row]:
     if scale.smoke:
         return [_measure_swept("star", fields["star"], NOISES[-1], side, scale)]
     return [_measure_swept(name, field, noise, side, scale) for name, field in fields.items() for noise in NOISES]
+
+
+def measure_example_sweep(scale: Scale) -> None:
+    """Sweep the Gaussian neck with little noise as users do; case.sweep.png is a picture of the documentation."""
+    name, folder = "Gaussian neck", scale.folder("sweep") / "example"
+    case = _write_case(name, _make_fields(SWEPT_SIDE)[name], NOISES[0], SWEPT_SIDE, folder)
+    subprocess.run([ddic_command(), "sweep", str(case), "--elements", "6,8,11.3,16,22.6,32"], env=environment(),
+                   stdout=subprocess.DEVNULL, check=True)
 
 
 def _make_fields(side: int) -> dict[str, Displacement]:

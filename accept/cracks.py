@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from accept.support.opened_pair import MARGIN, Crack, mesh_inside, render_crack
 from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Scale
 from bench.support.rows import Row, append_result
-from bench.support.runs import real_data
+from bench.support.runs import ddic_command, environment, real_data
 from ddic.errors import ConvergenceError
 from ddic.fracture.opening import get_line
 from ddic.io.image_file import open_image
@@ -337,15 +338,20 @@ def measure_failed_hole(scale: Scale) -> list[Row]:
     given = meshio.read(folder / "mesh_q4_pixels.msh")
     mesh = (given.points[:, :2], given.cells_dict["quad"])
     options = {**LOOSE, "regularization": {"cut_off_wavelength": HOLE_CUT_OFF, "not_controlled": []}}
+    own = scale.folder("failed_hole")
+    own.mkdir(parents=True, exist_ok=True)
     told: dict[str, str] = {}
     for name, lines in (("continuous", []), ("two lines", [{"vertices": line} for line in HOLE_LINES])):
         try:
-            result = ddic.measure(pair, mesh, **options, discontinuity=lines)
+            result = ddic.measure(pair, mesh, **options, discontinuity=lines, output=own / "result.vtkhdf")
         except ConvergenceError as error:
             told[name] = f"does not converge, {_RESIDUAL.findall(str(error))[0]} grey levels"
             continue
         rms = float(result.gauss_newton["residual_rms_grey"][-1])
         told[name] = f"{len(result.gauss_newton['iteration'])} iterations, {rms:.1f} grey levels"
+    # A picture of the documentation, result.deformed_y.png.
+    subprocess.run([ddic_command(), "plot", str(own / "result.vtkhdf"), "--kind", "deformed", "--component", "y",
+                    "--amplification", "1"], env=environment(), check=True)
     opened = [ddic.measure_opening(result, number) for number in (1, 2)]
     append_result("xdic_runs", {"check": "failed_hole", **told})
     listed = "; ".join(f"{name}: {what}" for name, what in told.items())

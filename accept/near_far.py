@@ -2,7 +2,7 @@
 
 ``make accept-near-far``, a check alone with CHECK=NAME. Synthetic images are those of ``ddic synth near-far``: ratio 5,
 1392 x 1040 px each, 8 bit, alpha = (3.7, -2.2) far px; meshes are of 16-px elements with the hole left out. The noise
-check draws docs/pictures/near_far.png.
+check draws near_far.png into the folder of its files, a picture of the documentation.
 """
 
 from __future__ import annotations
@@ -36,13 +36,12 @@ from accept.support.near_far_case import (
 )
 from accept.table import Scale, runs_name
 from bench.support.rows import Row, append_result
-from bench.support.runs import ROOT, ddic_command, ddic_run, environment, run_job
+from bench.support.runs import ddic_command, ddic_run, environment, run_job
 from ddic.images.camera import CameraMapping, similarity
 from ddic.io.result_reader import Result, read_result
 
 TABLE = "near-far"
 RUNS = runs_name(TABLE)
-PICTURE = ROOT / "docs" / "pictures" / "near_far.png"
 JOB = "accept.support.near_far_job"
 N_RANKS, N_SUBDOMAINS = 2, 6
 WAVELENGTH, NOISE = 96, 2.0
@@ -114,15 +113,14 @@ def measure_noise(scale: Scale) -> list[Row]:
                   "largest_jump_px": largest_jump(field), "alpha_error_px": (field.alpha - scene.alpha).tolist()}
         append_result(RUNS, {"check": "noise", **record})
         table.append(record)
-    picture = scene.folder / PICTURE.name if scale.smoke else PICTURE
-    draw_panels(fields, picture)
+    draw_panels(fields, scene.folder / "near_far.png")
     falls = all(b[key] < a[key] for a, b in pairwise(table)
                 for key in ("rms_error_px", "oscillation_px"))
     return [Row(f"the same with noise of {NOISE:g} grey levels: independent, continuous (Eq. 21), regularized "
                 f"(Eq. 23, l_c = {WAVELENGTH} px); oscillation: RMS second difference of the error along the mesh "
                 "lines through the interface's nodes", "RMS error and interface oscillation fall in that order",
-                "; ".join(f"{r['variant']} {r['rms_error_px']:.5f}, {r['oscillation_px']:.5f} px" for r in table)
-                + f"; picture {picture.relative_to(ROOT)}", falls)]
+                "; ".join(f"{r['variant']} {r['rms_error_px']:.5f}, {r['oscillation_px']:.5f} px" for r in table),
+                falls)]
 
 
 def measure_dual(scale: Scale) -> list[Row]:

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from accept.support.follow_page import LIMIT_S, Followed
@@ -35,11 +36,12 @@ def measure_equations(scale: Scale) -> list[Row]:
 
 def measure_docs(scale: Scale) -> list[Row]:
     """Build the documents, check public docstrings, and run every example for its number."""
-    rows = [_docstrings(), _build()]
+    rows = [_docstrings(), build_site()]
     return rows if scale.smoke else [*rows, _examples()]
 
 
-def _build() -> Row:
+def build_site() -> Row:
+    """Build the documents, links and anchors between them included."""
     code, printed = _run("mkdocs", "build", "--strict", "--quiet", "--site-dir", str(ROOT / "bench" / "data" / "site"))
     if "No module named mkdocs" in printed:
         raise NotHereError("mkdocs is not installed; make docs installs it")
@@ -76,26 +78,28 @@ NOBODY = 65534
 SMALL = ("examples/translation/README.md", "docs/guides/python.md")
 """What a smoke run follows: without a set-up of its own."""
 
-_MOST_FAULTS = 10
+MOST_FAULTS = 10
 """Faults that a row shows."""
 
 
 def measure_followed_pages(scale: Scale) -> list[Row]:
     """Copy the repository, follow its pages there as root, and again as a user without rights."""
     if scale.smoke:
-        return [_measure("this user", SMALL, (), link=True)]
+        return [measure_followed("this user", SMALL, (), link=True)]
     pages = list_pages()
     if os.geteuid() != 0:
-        return [_measure("this user, not root", pages, ()),
+        return [measure_followed("this user, not root", pages, ()),
                 Row("the pages as root", "followed", "not possible here: this user is not root", False,
                     judged_small=False)]
-    return [_measure("root", pages, ()), _measure("a user without rights", pages, _as_nobody())]
+    return [measure_followed("root", pages, ()), measure_followed("a user without rights", pages, _as_nobody())]
 
 
 def list_pages() -> list[str]:
-    """List the pages in the order in which they are followed: the README makes what others go on from."""
+    """List the pages in the order in which they are followed: README and tutorials make what others go on from."""
     examples = ROOT / "examples"
-    listed = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted(examples.glob("*/README.md")),
+    tutorials = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+    others = [page for page in sorted((ROOT / "docs").rglob("*.md")) if page not in tutorials]
+    listed = [ROOT / "README.md", *tutorials, *others, *sorted(examples.glob("*/README.md")),
               *sorted(examples.glob("*.py")), ROOT / "CONTRIBUTING.md"]
     return [path.relative_to(ROOT).as_posix() for path in listed]
 
@@ -106,25 +110,26 @@ def _as_nobody() -> tuple[str, ...]:
     return ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
 
 
-def _measure(who: str, pages: list[str] | tuple[str, ...], launcher: tuple[str, ...], *, link: bool = False) -> Row:
+def measure_followed(who: str, pages: Sequence[str], launcher: tuple[str, ...], *, link: bool = False) -> Row:
+    """Follow pages in a copy of the repository; ``link``: with the packages of this environment, installing nothing."""
     with tempfile.TemporaryDirectory() as outer:
         Path(outer).chmod(0o755)
-        folder = _copy_repository(Path(outer) / "another_folder")
+        folder = copy_repository(Path(outer) / "another_folder")
         if link:
             (folder / ".venv").symlink_to(sys.prefix)
         if launcher:
             subprocess.run(["chown", "-R", f"{NOBODY}:{NOBODY}", str(folder)], check=True)
         found = _follow(folder, pages, launcher)
     held = not found.faults and found.commands > 0
-    shown = "; ".join(found.faults[:_MOST_FAULTS]) or "none"
+    shown = "; ".join(found.faults[:MOST_FAULTS]) or "none"
     return Row(f"{len(pages)} pages followed word by word in another folder as {who}",
                "no command fails, no printed line differs",
                f"{found.commands} commands, {found.numbers} printed numbers; faults: {len(found.faults)} ({shown}); "
                f"left out: {len(found.left_out)} ({'; '.join(found.left_out) or 'none'})", held)
 
 
-def _copy_repository(folder: Path) -> Path:
-    """Copy what git holds or would hold."""
+def copy_repository(folder: Path) -> Path:
+    """Copy what git holds or would hold to a folder, which is returned."""
     listed = subprocess.run(["git", "ls-files", "-co", "--exclude-standard", "-z"], cwd=ROOT, check=True, text=True,
                             capture_output=True).stdout
     for name in listed.split("\0"):
@@ -134,11 +139,13 @@ def _copy_repository(folder: Path) -> Path:
     return folder
 
 
-def _follow(folder: Path, pages: list[str] | tuple[str, ...], launcher: tuple[str, ...]) -> Followed:
+def _follow(folder: Path, pages: Sequence[str], launcher: tuple[str, ...]) -> Followed:
     """Follow the pages in processes that know nothing of this one's environment of Python and MPI."""
     (folder / ".home").mkdir()
     if launcher:
         os.chown(folder / ".home", NOBODY, NOBODY)
+    if "DDIC_REAL_DATA" in os.environ:
+        (folder / ".home" / "images").symlink_to(os.environ["DDIC_REAL_DATA"])
     own = Path(sys.prefix) / "bin"
     path = os.pathsep.join(part for part in os.environ["PATH"].split(os.pathsep) if Path(part) != own)
     of_python = ("PYTHON", "VIRTUAL_ENV", "OMPI_", "PMIX_", "DDIC_")

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 import ddic
 from accept.separated_pairs import Pair, list_pixels, measure_rms, store
 from accept.table import Scale
-from bench.support.rows import RESULTS, Row, append_result
+from bench.support.rows import Row, append_result
 from ddic.parallel.team import require_held
+from ddic.plots.canvas import save_figure
 from ddic.synth.fields import Sinusoidal
 from ddic.synth.render import Digitiser, Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture
@@ -210,9 +211,12 @@ def measure_against_dual(scale: Scale) -> list[Row]:
         is_bound = kind == "float"
         bound = f"at least {TIMES_CHEAPER:g} times cheaper at {sides[-1]} px" if is_bound else "reported"
         rows.append(Row(f"PGD-DIC and Q4 R-DIC by the dual solver, 1-px elements, cut-off {WAVELENGTH:g} px, all nodes "
-                        f"controlled, {kind}, by size of the region", f"{bound}; bench/results/pgd_against_dual.png",
-                        listed, times >= TIMES_CHEAPER or not is_bound, judged_small=False))
-    save_comparison(sides, found)
+                        f"controlled, {kind}, by size of the region", bound, listed,
+                        times >= TIMES_CHEAPER or not is_bound, judged_small=False))
+    # A picture of the documentation.
+    folder = scale.folder("pgd_against_dual")
+    folder.mkdir(parents=True, exist_ok=True)
+    save_figure(draw_comparison(sides, found), folder / "pgd_against_dual.png")
     return rows
 
 
@@ -224,11 +228,3 @@ def _compare(pair: Pair, side: int) -> dict[str, float]:
     u, v = pgd.at(points), q4.at(points)
     return {"difference_px": measure_rms(u - v), "pgd_error_px": measure_rms(u - known),
             "q4_error_px": measure_rms(v - known), "pgd_cpu_s": pgd_cpu, "q4_cpu_s": q4_cpu}
-
-
-def save_comparison(sides: tuple[int, ...], found: dict[str, list[dict[str, float]]]) -> None:
-    """Draw times and differences by size of the region, as Fig. 17 of [PP12], to bench/results/pgd_against_dual.png."""
-    from ddic.plots.canvas import save_figure
-
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    save_figure(draw_comparison(sides, found), RESULTS / "pgd_against_dual.png")

@@ -165,6 +165,7 @@ TABLES: dict[str, dict[str, str]] = {
         "requests": "page_server.measure_requests",
         "large": "page_speed.measure_large",
         "colours": "outlier_colours.measure_colours",
+        "docs": "documents.measure_documents",
     },
     "clean": {
         "pairs": "clean.measure_pairs",

@@ -1,11 +1,13 @@
-"""Pictures of the documentation, drawn by runs of the examples: make docs keeps those in docs/pictures up to date.
+"""All pictures of the documentation, in docs/pictures: make pictures draws them anew and names those that it replaced.
 
-Usage: python scripts/tour_pictures.py [folder for all files of the runs, a temporary one by default]. This also takes
-pictures of the pages in the browser, which needs Playwright and a Chromium; make docs leaves these as they are.
+Usage: python scripts/tour_pictures.py. Three kinds, a table of each below: those of runs of the examples, which make
+docs draws too; of the pages in the browser, which need a Chromium; and of checks of acceptance tables,
+one of which needs real images. What cannot be drawn here is named and left as it is.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import subprocess
@@ -14,6 +16,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import chdir
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 
 import cv2
@@ -21,6 +24,7 @@ import numpy as np
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
 PICTURES = ROOT / "docs" / "pictures"
 TOUR = "demo"
 """The README's tour is this example."""
@@ -32,6 +36,14 @@ DRAWN = {
     "near_far": {"result.near-far_y.png": "near_far_example"},
 }
 """Of each example the pictures that are taken, and their names here."""
+
+MEASURED = {
+    "near_far": ("near_far.measure_noise", "near_far/near_far.png"),
+    "failed_hole": ("cracks.measure_failed_hole", "failed_hole/result.deformed_y.png"),
+    "sweep": ("choices.measure_example_sweep", "sweep/example/case.sweep.png"),
+    "pgd_against_dual": ("pixel_elements.measure_against_dual", "pgd_against_dual/pgd_against_dual.png"),
+}
+"""Of pictures here the check in accept/ that draws them, and where among its data."""
 
 SHARE, N_COLOURS, N_ROUNDS = 2 / 3, 256, 3
 """Of a picture's size that is kept, and of its colours, which are bettered in some rounds; larger values make larger
@@ -154,6 +166,12 @@ def draw_pages(folder: Path) -> Iterator[Path]:
     Path
         Pictures that were replaced.
     """
+    from accept.support.browser import find_browser
+
+    found = find_browser()
+    if found is None:
+        print(f"left as they are: {', '.join(SCREEN)}: no Chromium is installed")
+        return
     from playwright.sync_api import Page, sync_playwright
 
     import ddic
@@ -168,7 +186,7 @@ def draw_pages(folder: Path) -> Iterator[Path]:
     series, probes = folder / "series" / "series.vtkhdf", load_probes(folder / "series" / "probes.toml")
     viewed = start_in_thread(partial(make_view_page, [series], probes))
     # The browser refuses to confine itself where it is root.
-    launched = {"executable_path": shutil.which("chromium"), "args": ["--no-sandbox"]}
+    launched = {"executable_path": found, "args": ["--no-sandbox"]}
     with chdir(folder / TOUR), sync_playwright() as playwright, playwright.chromium.launch(**launched) as browser:
         drawn = ddic.draw("images/reference.tif").address
         for name, address, prepare in (("page_draw", drawn, None), ("page_view", viewed, show_strain)):
@@ -186,8 +204,34 @@ def draw_pages(folder: Path) -> Iterator[Path]:
 WAIT_MS = 4000
 """For a page to be drawn."""
 
+
+def draw_measured() -> Iterator[Path]:
+    """Run the checks that draw pictures.
+
+    Yields
+    ------
+    Path
+        Pictures that were replaced.
+    """
+    from accept.table import Scale
+    from bench.support.runs import DATA, NotHereError
+
+    for name, (place, drawn) in MEASURED.items():
+        module, function = place.split(".")
+        try:
+            getattr(importlib.import_module(f"accept.{module}"), function)(Scale())
+        except NotHereError as error:
+            print(f"left as it is: {name}: {error}")
+            continue
+        yield from keep_picture(DATA / drawn, name)
+
+
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as temporary:
-        into = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else Path(temporary)
-        for path in [*draw_examples(into), *draw_pages(into)]:
-            print(path)
+    if sys.argv[1:]:
+        sys.exit(__doc__)
+    # One name each time, for a page shows it.
+    into = Path(tempfile.gettempdir()) / "ddic_pictures"
+    shutil.rmtree(into, ignore_errors=True)
+    for path in chain(draw_examples(into), draw_pages(into), draw_measured()):
+        print(f"replaced: {path.stem}", flush=True)
+    shutil.rmtree(into)

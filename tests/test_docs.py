@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from accept.support.unrun_blocks import CHECKS, find_faults, find_spoken_faults
 from ddic.case import schema
-from ddic.case.loader import parse_case_text
 from ddic.case.schema import find_section
 
 ROOT = Path(__file__).parents[1]
@@ -97,9 +97,17 @@ def test_symbol_is_listed(symbol: str) -> None:
 
 @named
 def test_links_of_a_document_lead_somewhere(document: Path) -> None:
-    links = re.findall(r"\]\(([^)#\s]+)", document.read_text(encoding="utf-8"))
-    local = [link for link in links if "://" not in link]
-    assert [link for link in local if not (document.parent / link).exists()] == []
+    links = re.findall(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)", document.read_text(encoding="utf-8"))
+    local = [(document.parent / path if path else document, anchor) for path, anchor in links if "://" not in path]
+    assert [path for path, _ in local if not path.exists()] == []
+    assert [(path, anchor) for path, anchor in local if anchor and anchor not in anchors_of(path)] == []
+
+
+def anchors_of(document: Path) -> list[str]:
+    """Anchors of the headings, as they are made where Markdown is shown; the site's are checked when it is built."""
+    text = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    headings = [re.sub(r"\[(.*?)\]\(.*?\)", r"\1", title) for title in re.findall(r"^#+ (.*)", text, re.MULTILINE)]
+    return [re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in headings]
 
 
 def is_python_file(mention: str) -> bool:
@@ -168,12 +176,39 @@ def test_tables_of_the_case_file_are_those_of_the_schema() -> None:
     assert {find_section(tuple(name.split(".")) if name else ()) for name in marked} == {*SECTIONS.values(), *SHAPES}
 
 
-@pytest.mark.parametrize("document", [ROOT / "README.md", ROOT / "docs" / "case-file.md"], ids=lambda path: path.name)
-def test_case_files_in_a_document_are_valid(document: Path) -> None:
-    whole = [block for block in code_blocks(document, "toml") if "[images]" in block]
-    assert whole
-    for block in whole:
-        parse_case_text(block, document)
+@named
+def test_blocks_that_are_not_run_say_what_exists(document: Path) -> None:
+    if document.name != "CHANGELOG.md":    # which tells of what was
+        assert find_faults(document) == []
+
+
+@pytest.mark.parametrize(("language", "text", "fault"), [
+    ("toml", "[mesh.structured]\nregion = [0, 0, 9, 9]\nelement_side = 3", "element_side"),
+    ("toml", "[regularisation]\ncut_off_wavelength = 60", "regularisation"),
+    ("toml", "[gauge.a]\ncentre = [1, 2]\nsize = 3", "size"),
+    ("csv", "x,y,u,v\n1,2,3", "column v is missing"),
+    ("text", "no example prints this", "prints"),
+    ("sh", "mpiexec -n 2 ddic run case.toml --ranks 2", "ddic run takes no --ranks"),
+    ("sh", "cd tour && ddic synth kirsch --speed 2 | tail -1", "ddic synth takes no --speed"),
+    ("sh", "ddic measure case.toml", "ddic knows no measure"),
+    ("sh", "make everything", "make knows no everything"),
+    ("sh", "for x in; ddic", "syntax error"),
+    ("python", "import ddic\nddic.measure(pair, options=ddic.Options())", "there is no ddic.Options"),
+    ("python", "import ddic\nddic.measure(pair, mesh, wavelength=3)", "ddic.measure takes no wavelength"),
+])
+def test_wrong_blocks_are_found(language: str, text: str, fault: str) -> None:
+    assert fault in "; ".join(CHECKS[language](text))
+
+
+@pytest.mark.parametrize(("code", "fault"), [
+    ("ddic plot result.vtkhdf --colour red", "ddic plot takes no --colour"),
+    ("make accept-pgd CHECK=noise", "make knows no noise"),
+    ("ddic.measure(..., options=1)", "ddic.measure takes no options"),
+    ("[mesh.grid]", "there is no section mesh.grid"),
+    ("gauss_newton.iterations = 3", "there is no key gauss_newton.iterations"),
+])
+def test_wrong_code_in_sentences_is_found(code: str, fault: str) -> None:
+    assert find_spoken_faults(code) == [fault]
 
 
 def test_tour_is_the_demo() -> None:
@@ -186,6 +221,19 @@ def test_tour_is_the_demo() -> None:
     assert [command for command in commands if command not in tour] == []
     case = (ROOT / "examples" / "demo" / "case.toml").read_text(encoding="utf-8")
     assert case in code_blocks(ROOT / "README.md", "toml")
+
+
+def test_every_picture_is_drawn_by_a_command_and_shown() -> None:
+    tour = importlib.import_module("tour_pictures")
+    drawn = [name for pictures in tour.DRAWN.values() for name in pictures.values()]
+    kept = sorted(path.stem for path in (ROOT / "docs" / "pictures").iterdir())
+    assert kept == sorted([*drawn, *tour.SCREEN, *tour.MEASURED])
+    text = "".join(document.read_text(encoding="utf-8") for document in DOCUMENTS)
+    shown = {Path(link).stem for link in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)}
+    assert shown == set(kept)
+    for place, _ in tour.MEASURED.values():
+        module, function = place.split(".")
+        assert callable(getattr(importlib.import_module(f"accept.{module}"), function))
 
 
 def test_pictures_are_small() -> None:

@@ -99,7 +99,7 @@ def _agree(found: str, expected: str) -> bool:
 
 Kind = Literal["sh", "console", "python", "file"]
 
-_FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^(?P=indent)```$",
+FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^(?P=indent)```$",
                     re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r"<!-- (file|differs): (.+?) -->\s*$")
 
@@ -140,7 +140,7 @@ def read_blocks(page: Path) -> list[Block]:
     text = page.read_text(encoding="utf-8")
     blocks: list[Block] = []
     end = 0
-    for found in _FENCE.finditer(text):
+    for found in FENCE.finditer(text):
         before = text[end:found.start()]
         end = found.end()
         content = re.sub(rf"^{found['indent']}", "", found["text"], flags=re.MULTILINE)
@@ -220,7 +220,7 @@ def follow_page(folder: Path, page: str) -> Followed:
     """Do what a page says in a shell of its own, begun in the copy; an example's page ends as ``printed.txt`` says."""
     is_script = page.endswith(".py")
     blocks = read_script(folder / page) if is_script else read_blocks(folder / page)
-    here = [block for block in blocks if not block.needs or (block.needs == "root" and os.geteuid() == 0)]
+    here = [block for block in blocks if _is_here(block.needs)]
     followed = Followed(0, 0, [f"{page}:{block.line} needs {block.needs}" for block in blocks if block not in here], [])
     if not here:
         return followed
@@ -241,6 +241,12 @@ def follow_page(folder: Path, page: str) -> Followed:
         last_lines = "\n".join(parts[-1].splitlines()[-len(shown.splitlines()):])
         _compare(followed, f"{page}: printed.txt", last_lines, Block("console", "", 0, shown=shown))
     return followed
+
+
+def _is_here(needs: str) -> bool:
+    """Whether what a block needs is there."""
+    return (not needs or (needs == "root" and os.geteuid() == 0)
+            or (needs == "real images in ~/images" and (Path.home() / "images").is_dir()))
 
 
 def _run_blocks(folder: Path, page: str, blocks: Sequence[Block], preamble: Sequence[str]) -> tuple[int, str]:
