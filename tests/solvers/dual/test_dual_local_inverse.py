@@ -23,6 +23,7 @@ from ddic.solvers.dual.preconditioner import (
     assemble_schur,
     build_preconditioner,
     build_schur_pair,
+    invert_by_blocks,
     is_dense,
 )
 from ddic.solvers.petsc import PetscStack
@@ -53,6 +54,13 @@ def test_both_ways_invert_the_same_operator(kind: str, wavelength: float | None,
                 inverse.destroy()
             for by_array, by_factor, rounding in zip(*found, (1e-6, 1e-9), strict=True):
                 np.testing.assert_allclose(by_factor, by_array, rtol=0, atol=rounding * np.abs(by_array).max())
+
+
+def test_a_subdomain_without_jumps_is_inverted_without_a_word(capfd: pytest.CaptureFixture[str]) -> None:
+    schur = -np.array([[2.0, 1.0], [1.0, 3.0]])
+    # Rounding of a matrix of condition 2.6.
+    np.testing.assert_allclose(invert_by_blocks(schur, 0), np.linalg.inv(schur), rtol=1e-15)
+    assert "".join(capfd.readouterr()) == ""
 
 
 def test_a_solution_is_not_changed_by_the_next_one() -> None:

@@ -155,6 +155,9 @@ def invert_by_blocks(schur: Array, n_jumps: int) -> Array:
 
 def _invert_definite(matrix: Array) -> Array:
     """The inverse of a symmetric positive definite matrix; raises SingularSubdomainError."""
+    # LAPACK prints that it is given none.
+    if not len(matrix):
+        return matrix
     try:
         factor = linalg.cho_factor(matrix, lower=True)
     except linalg.LinAlgError as error:
