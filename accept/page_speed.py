@@ -189,6 +189,9 @@ MOST_FRAME_S = 0.3
 N_MOVES, STRIDE = 20, 0.382
 """Moves of the slider, and its way from one to the next, as a share of its length, when it does not go by one."""
 
+GLIDE_S = 0.4
+"""After a click in which the slider's handle glides to its place, and takes no other click."""
+
 
 def measure_slider(scale: Scale) -> list[Row]:
     """Move the slider of a long series by a frame and farther, over the reference and the deformed images."""
@@ -233,5 +236,9 @@ def _jump(tab: Tab) -> list[float]:
     middle = box["y"] + box["height"] / 2
     shares = [0.05 + 0.9 * (number * STRIDE % 1.0) for number in range(1, N_MOVES + 1)]
     places = [box["x"] + box["width"] * share for share in shares]
-    return [time_next(tab, "pointerdown", lambda: tab.page.mouse.click(place, middle))  # noqa: B023  called at once
-            for place in places]
+
+    def click(place: float) -> float:
+        time.sleep(GLIDE_S)
+        return time_next(tab, "pointerdown", lambda: tab.page.mouse.click(place, middle))
+
+    return [click(place) for place in places]
