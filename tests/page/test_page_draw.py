@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from bokeh.events import RangesUpdate
-from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Scatter, Segment
+from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Segment
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
@@ -165,15 +165,17 @@ def test_texture_is_drawn_by_element_and_weak_nodes_are_marked(folder: Path, job
     cv2.imwrite(str(folder / "f.tif"), image)
     (folder / "case.toml").write_text(case_text(), encoding="utf-8")
     tab = Tab(partial(make_draw_page, open_drawn_case(folder / "f.tif", folder / "case.toml")), jobs)
-    tab.find(CheckboxGroup).active = [1, 2]
-    plot = tab.find(Plot, name="image")
-    weak = next(r.data_source.data for r in plot.renderers
-                if isinstance(r.glyph, Scatter) and r.glyph.fill_color == "#ff3030" and r.glyph.size == 4)
-    # Blocks of 16 px from 96 on are flat; 10 rows of nodes from 104 to 168.
-    assert sorted(set(np.asarray(weak["x"]).tolist())) == [104.0, 120.0, 136.0, 152.0, 168.0]
-    assert len(weak["x"]) == 50
+    tab.find(CheckboxGroup).active = [2]
     rgba, box = tab.shown()
     pitch = (box[2] - box[0]) / rgba.shape[1]
+    # Blocks of 16 px from 96 on are flat; 10 rows of nodes from 104 to 168.
+    n_dots, _, _, centres = cv2.connectedComponentsWithStats((rgba[..., 0] != rgba[..., 1]).astype(np.uint8))
+    assert n_dots == 1 + 50
+    # Rounded to a pixel of the screen, and four of them wide.
+    columns = np.unique(box[0] + pitch * (centres[1:, 0] + 0.5))
+    np.testing.assert_allclose(columns, np.arange(104.0, 169.0, 16.0), atol=pitch)
+    tab.find(CheckboxGroup).active = [1]
+    rgba, box = tab.shown()
     left, right = (rgba[round(90.0 / pitch), round(x / pitch), :3].astype(int) for x in (60.0, 140.0))
     # Red at the low end of the colours, green or yellow where texture is as in most of the pattern.
     assert right[0] > right[1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.mesh.interpolation import CellSearch
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_facets
 from ddic.page.image_pane import ScreenRaster
@@ -49,7 +50,7 @@ def test_of_cells_too_small_to_see_the_outline_is_left() -> None:
 def test_values_lie_where_the_mesh_is() -> None:
     """Linear between nodes of any cells, those of cells as they are, nan outside."""
     mesh = grid_mesh(6, 4, (8.0, 8.0), origin=(10.0, 10.0), cells="mixed", jitter=0.2)
-    overlay = Overlay.find(mesh, RASTER)
+    overlay = Overlay.find(CellSearch(mesh), RASTER)
     places = RASTER.centres
     linear = overlay.interpolate(2.0 + 0.3 * mesh.nodes[:, 0] - 0.1 * mesh.nodes[:, 1], by_cell=False)
     known = np.isfinite(linear)

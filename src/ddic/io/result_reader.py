@@ -292,8 +292,11 @@ def clip_result(result: Result, low: Array, high: Array) -> Result:
     lowest, highest = result.mesh.outlines.find_boxes()
     touches = ((highest >= low - 2.0 * EDGE) & (lowest <= high + 2.0 * EDGE)).all(axis=1)
     cells = np.flatnonzero(touches)
-    if not len(cells):
-        return result
+    return keep_cells(result, cells) if len(cells) else result
+
+
+def keep_cells(result: Result, cells: IntArray) -> Result:
+    """Keep some cells of a result, (n,), and their nodes."""
     mesh, nodes = result.mesh.create_submesh(cells)
     return replace(result, mesh=mesh, displacement=result.displacement[nodes],
                    subdomain_ids=result.subdomain_ids[cells],
