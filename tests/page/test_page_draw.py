@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from bokeh.events import RangesUpdate
 from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Segment
 
 from ddic.case.loader import load_case
@@ -112,7 +111,6 @@ def test_what_is_in_sight_is_read_once_it_rests(open_draw: OpenDraw) -> None:
     for half in (60.0, 30.0, 4.0):
         plot.x_range.update(start=96.0 - half, end=96.0 + half)
         plot.y_range.update(start=96.0 + half, end=96.0 - half)
-        plot._trigger_event(RangesUpdate(plot))
     assert tab.shown()[1] == (-0.5, -0.5, 191.5, 191.5)
     tab.rest()
     rgba, box = tab.shown()
