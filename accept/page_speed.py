@@ -53,22 +53,37 @@ NEXT = """([name, kind]) => {
         return x[0] <= Math.max(across.start, 0) && dw[0] <= 1.1 * width + 64
             && x[0] + dw[0] >= across.end - 64 && y[0] <= Math.max(down.end, 0);
     };
+    let number = 0;
     const look = () => {
+        const own = ++number;
+        window.ddicDrawn = null;
         if (!isSharp()) return;
-        source.properties.data.change.disconnect(look);
-        window.removeEventListener(kind, begin, {capture: true});
-        requestAnimationFrame(() => requestAnimationFrame(() => { window.ddicDrawn = performance.now(); }));
+        requestAnimationFrame(() => requestAnimationFrame(() => {
+            if (own == number) window.ddicDrawn = performance.now();
+        }));
     };
+    const unsettle = () => { number += 1; window.ddicDrawn = null; };
     source.properties.data.change.connect(look);
+    for (const range of [across, down]) range.change.connect(unsettle);
+    window.ddicForget = () => {
+        source.properties.data.change.disconnect(look);
+        for (const range of [across, down]) range.change.disconnect(unsettle);
+        window.removeEventListener(kind, begin, {capture: true});
+    };
 }"""
-"""Notes when the window in sight has been drawn, after the last event of a kind."""
+"""Notes when the window in sight has been drawn, after the last event of a kind and the last change of the window."""
+
+SETTLED_S = 0.1
+"""After an event in which the browser has changed what is in sight."""
 
 
 def time_next(tab: Tab, event: str, act: Callable[[], None]) -> float:
     """Measure the seconds from the last of some events, of a kind of the browser's, to the image drawn after it."""
     tab.page.evaluate(NEXT, [tab.figure, event])
     act()
+    time.sleep(SETTLED_S)
     tab.page.wait_for_function("window.ddicDrawn !== null", timeout=60_000)
+    tab.page.evaluate("window.ddicForget()")
     return float(tab.page.evaluate("window.ddicDrawn - window.ddicBegun")) / 1000.0
 
 

@@ -19,6 +19,8 @@ from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Segment
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
+from ddic.mesh.grid import GridLines
+from ddic.mesh.mesh import Mesh
 from ddic.page import drawn_case
 from ddic.page.draw import STRENGTHS, make_draw_page
 from ddic.page.drawn_case import DrawnCase, check_text, open_drawn_case
@@ -179,6 +181,36 @@ def test_texture_is_drawn_by_element_and_weak_nodes_are_marked(folder: Path, job
     assert right[0] > right[1]
     assert left[1] >= left[0]
     assert STRENGTHS[0] < 0 < STRENGTHS[1]
+
+
+def test_of_a_rectangle_no_whole_mesh_is_built(drawn: DrawnCase, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither where it is found fit nor where something else is wrong."""
+    build = GridLines.build_mesh
+
+    def build_small(grid: GridLines) -> Mesh:
+        # Its outline is one rectangle.
+        assert grid.n_cells == 1
+        return build(grid)
+
+    monkeypatch.setattr(GridLines, "build_mesh", build_small)
+    checked = check_text(drawn.text, drawn)
+    assert isinstance(checked.mesh, GridLines)
+    assert checked.report is not None
+    wrong = check_text(f"{drawn.text}\n[regularization]\ncut_off_wavelength = 1e6\n", drawn)
+    assert isinstance(wrong.mesh, GridLines)
+    assert wrong.problems
+
+
+def test_what_is_too_large_to_be_drawn_is_told(drawn: DrawnCase, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh with a hole is built as a whole: beyond a limit its outline alone is drawn."""
+    text = drawn.text.replace("element_size = ", "circles = [{ center = [96, 96], radius = 20 }]\nelement_size = ")
+    checked = check_text(text, drawn)
+    assert isinstance(checked.mesh, Mesh)
+    monkeypatch.setattr(drawn_case, "MOST_CELLS", checked.mesh.n_cells - 1)
+    refused = check_text(text, drawn)
+    assert (refused.mesh, refused.report) == (None, None)
+    assert "outlines alone, and ddic check" in refused.problems[0]
+    assert check_text(drawn.text, drawn).report is not None
 
 
 def test_undo_takes_back_one_change_after_the_other(open_draw: OpenDraw, folder: Path) -> None:

@@ -191,10 +191,9 @@ def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridL
                      pattern: Pattern) -> CheckReport:
     """Add to a report what the reference image's pattern asks of the mesh, and the frames of a series."""
     case = loaded.case
-    if isinstance(mesh, GridLines):
-        cell_size, parts = mesh.cell_size, mesh.split_rows()
-    else:
-        cell_size, parts = measure_cell_size(mesh), iter([mesh])
+    is_grid = isinstance(mesh, GridLines)
+    cell_size = mesh.cell_size if is_grid else measure_cell_size(mesh)
+    parts = mesh.split_rows() if is_grid else [mesh]
     n_bare = 0 if case.near else int(sum(pattern.find_bare(part.centroids).sum() for part in parts))
     frames = tuple(zip((path.name for path in list_deformed(case.images)), list_times(case), strict=True))
     return replace(report, pattern=pattern.describe_elements(cell_size), n_bare_cells=n_bare,

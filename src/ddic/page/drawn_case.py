@@ -84,8 +84,7 @@ class Checked:
     @cached_property
     def outline(self) -> IntArray:
         """Nodes of the edges at the boundary of the mesh, (n_edges, 2); of a million cells a second's work."""
-        is_there = isinstance(self.mesh, Mesh)
-        return find_boundary_facets(self.mesh)[:, :2] if is_there else np.zeros((0, 2), dtype=np.int64)
+        return find_boundary_facets(self.mesh)[:, :2] if isinstance(self.mesh, Mesh) else np.zeros((0, 2), np.int64)
 
 
 def check_text(text: str, drawn: DrawnCase) -> Checked:

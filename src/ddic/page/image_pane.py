@@ -32,6 +32,9 @@ BAND = 1 << 24
 CONTRAST = (0.5, 99.5)
 """Percentiles of the grey levels that are black and white."""
 
+LOOKED_AT = 1 << 18
+"""Pixels of the reduced image that tell them; a larger one takes longer."""
+
 Box = tuple[float, float, float, float]
 
 Rgba = NDArray[np.uint8]
@@ -90,6 +93,7 @@ class ScreenImage:
         overview = _reduce(source, source.extent, self._factor)
         self._overview = ArraySource(source.path, overview)
         finite = overview[np.isfinite(overview)]
+        finite = finite[::max(finite.size // LOOKED_AT, 1)]
         low, high = np.percentile(finite, CONTRAST).tolist() if finite.size else (0.0, 0.0)
         # One grey all over lies in the middle.
         self._black, self._white = (low, high) if low < high else (low - 1.0, low + 1.0)

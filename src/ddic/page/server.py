@@ -24,9 +24,6 @@ HERE = "127.0.0.1"
 NAME = "localhost"
 """Of this machine, and of the near end of a tunnel, which has the same port."""
 
-COMPRESSION = 1
-"""Of what is sent, from 0 to 9: images shrink by half, and take no longer on a fast line."""
-
 MakePage = Callable[[Document], None]
 
 
@@ -77,8 +74,8 @@ def start_server(make_page: MakePage, port: int = 0) -> tuple[Server, str]:
     # Figures of curves are empty until there are probes.
     silence(MISSING_RENDERERS)
     try:
-        server = Server({"/": make_page}, port=port, address=HERE, auth_provider=_TokenAuth(token),
-                        websocket_compression_level=COMPRESSION)
+        # Nothing is compressed: speckle shrinks by a quarter, which takes longer than to send it.
+        server = Server({"/": make_page}, port=port, address=HERE, auth_provider=_TokenAuth(token))
     except OSError as error:
         problem = (f"--port {port}: is taken, or not allowed ({error.strerror}); give another one, or leave it out"
                    if port else f"no port of {HERE} can be opened for the page ({error.strerror}); allow one here")
