@@ -34,9 +34,6 @@ OPEN: dict[tuple[str, str], str] = {
         "strains of openhole and fracture: a stripe of three cells is the strain of some twenty nodes, 1 % of them, by "
         "which the ends at 2 and 98 % move by 5.2 and 10.8 % of their span where tails are long; colours of all other "
         "cells change by 2 of 255",
-    ("newcomer", "large"):
-        "beside other programs 0.60 s after a zoom on 29 Mpx; on 484 Mpx 1.80 s and 1.75 GiB, which are those of the "
-        "two million elements that the case begins with: the page builds the whole mesh to check and to draw it",
     ("newcomer", "wrong_inputs"):
         "29 of 30: a polygon whose sides cross is meshed by the even-odd rule, as polygons of [mesh.structured] are",
     ("performance", "speedup"):

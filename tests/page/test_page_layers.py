@@ -91,8 +91,16 @@ def test_cells_of_a_grid_are_found_as_those_of_its_mesh(raster: ScreenRaster) ->
     known = np.isfinite(centres).all(axis=1)
     assert 0 < known.sum() < len(known)
     # Means of two and of four coordinates of some ten pixels.
-    np.testing.assert_allclose(centres, find_cell_centres(SIDE_BY_SIDE, raster), atol=1e-12)
-    np.testing.assert_array_equal(find_nodes_in_sight(GRID, raster), find_nodes_in_sight(SIDE_BY_SIDE, raster))
+    expected = find_cell_centres(SIDE_BY_SIDE, raster)
+    np.testing.assert_array_equal(known, np.isfinite(expected).all(axis=1))
+    np.testing.assert_allclose(centres[known], expected[known], atol=1e-12)
+
+
+@pytest.mark.parametrize("raster", [RASTER, WINDOW])
+def test_nodes_of_a_grid_are_those_of_its_mesh_in_sight(raster: ScreenRaster) -> None:
+    nodes = SIDE_BY_SIDE.nodes
+    in_sight = ((nodes >= raster.box[:2]) & (nodes <= raster.box[2:])).all(axis=1)
+    np.testing.assert_array_equal(find_nodes_in_sight(GRID, raster), nodes[in_sight])
 
 
 def test_of_nodes_finer_than_the_screen_some_are_left() -> None:

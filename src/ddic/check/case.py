@@ -191,10 +191,13 @@ def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridL
                      pattern: Pattern) -> CheckReport:
     """Add to a report what the reference image's pattern asks of the mesh, and the frames of a series."""
     case = loaded.case
-    is_grid = isinstance(mesh, GridLines)
-    cell_size = mesh.cell_size if is_grid else measure_cell_size(mesh)
-    parts = mesh.split_rows() if is_grid else [mesh]
-    n_bare = 0 if case.near else int(sum(pattern.find_bare(part.centroids).sum() for part in parts))
+    if isinstance(mesh, GridLines):
+        cell_size = mesh.cell_size
+        rows = (GridLines(mesh.x, mesh.y[k:k + 2]) for k in range(len(mesh.y) - 1))
+        n_bare = sum(int(pattern.find_bare(row.centroids).sum()) for row in rows)
+    else:
+        cell_size = measure_cell_size(mesh)
+        n_bare = 0 if case.near else int(pattern.find_bare(mesh.centroids).sum())
     frames = tuple(zip((path.name for path in list_deformed(case.images)), list_times(case), strict=True))
     return replace(report, pattern=pattern.describe_elements(cell_size), n_bare_cells=n_bare,
                    frames=frames if loaded.is_series else ())

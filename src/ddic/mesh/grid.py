@@ -1,6 +1,5 @@
 """A grid of rectangles, and meshes of parts of it, each made by whoever needs it."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -100,10 +99,6 @@ class GridLines:
         """Nodes on the sides; y points down, so that top is where y is smallest."""
         numbers = np.arange(len(self.x) * len(self.y), dtype=np.int64).reshape(len(self.y), len(self.x))
         return {"left": numbers[:, 0], "right": numbers[:, -1], "top": numbers[0], "bottom": numbers[-1]}
-
-    def split_rows(self) -> Iterator["GridLines"]:
-        """Split into grids of one row each."""
-        return (GridLines(self.x, self.y[row:row + 2]) for row in range(len(self.y) - 1))
 
     def pad(self) -> "GridLines":
         """Put a ring of rectangles around."""

@@ -69,7 +69,6 @@ def interpolate(mesh: Mesh, values: Array, points: Array) -> Array:
 def interpolate_located(mesh: Mesh, values: Array, located: Located) -> Array:
     """Interpolate nodal values, (n_nodes, k), of many fields at the same points, (n, k), nan outside all cells."""
     found = np.full((len(located.cells), values.shape[1]), np.nan)
-    has_gaps = bool(np.isnan(values).any())
     held = located.cells >= 0
     types = np.zeros(len(located.cells), dtype=mesh.types.dtype)
     types[held] = mesh.types[located.cells[held]]
@@ -80,10 +79,9 @@ def interpolate_located(mesh: Mesh, values: Array, located: Located) -> Array:
         total = np.zeros((len(members), values.shape[1]))
         for a in range(block.type.n_nodes):
             share = shapes[:, a, None] * values[nodes[:, a]]
-            if has_gaps:
-                # A node without a value says nothing of points on the other nodes.
-                share[np.isnan(share) & (np.abs(shapes[:, a, None]) < AT_OTHER_NODES)] = 0.0
-            total += share
+            # A node without a value says nothing of points on the other nodes.
+            unknown_elsewhere = np.isnan(share) & (np.abs(shapes[:, a, None]) < AT_OTHER_NODES)
+            total += np.where(unknown_elsewhere, 0.0, share)
         found[members] = total
     return found
 

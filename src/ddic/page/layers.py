@@ -58,10 +58,8 @@ def _list_lines(grid: GridLines, raster: ScreenRaster) -> Array:
     x0, y0, x1, y1 = grid.box
     x = grid.x[(grid.x >= raster.box[0]) & (grid.x <= raster.box[2])]
     y = grid.y[(grid.y >= raster.box[1]) & (grid.y <= raster.box[3])]
-    upright, level = np.empty((len(x), 2, 2)), np.empty((len(y), 2, 2))
-    upright[..., 0], upright[..., 1] = x[:, None], (y0, y1)
-    level[..., 0], level[..., 1] = (x0, x1), y[:, None]
-    return np.concatenate([upright, level])
+    upright, level = [[(at, y0), (at, y1)] for at in x], [[(x0, at), (x1, at)] for at in y]
+    return np.array([*upright, *level]).reshape(-1, 2, 2)
 
 
 def _draw_lines(rgba: Rgba, raster: ScreenRaster, lines: Array, colour: Colour, *, closed: bool) -> None:
@@ -81,29 +79,26 @@ def draw_dots(rgba: Rgba, raster: ScreenRaster, points: Array, colour: Colour) -
 
 
 def find_nodes_in_sight(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
-    """Find the nodes in sight, (n, 2), pixels; of a grid finer than dots on the screen, some in each dot."""
-    x0, y0, x1, y1 = raster.box
+    """Find nodes that may be in sight, (n, 2), pixels; of a grid finer than dots on the screen, some in each dot."""
     if isinstance(mesh, Mesh):
-        nodes = mesh.nodes
-        return np.asarray(nodes[((nodes >= (x0, y0)) & (nodes <= (x1, y1))).all(axis=1)])
+        return mesh.nodes
+    x0, y0, x1, y1 = raster.box
     step = max(int(DOT * raster.pitch[0] / mesh.cell_size), 1)
     x, y = mesh.x[(mesh.x >= x0) & (mesh.x <= x1)], mesh.y[(mesh.y >= y0) & (mesh.y <= y1)]
     return GridLines(x[::step], y[::step]).nodes
 
 
 def find_cell_centres(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
-    """Find the centre of the cell that holds each pixel of a raster, (n, 2), pixels; nan where none does."""
+    """Find the centre of the cell that holds each pixel of a raster, (n, 2), pixels; nan in it where none does."""
     if isinstance(mesh, Mesh):
         overlay = Overlay.find(CellSearch(mesh), raster)
         return np.column_stack([overlay.interpolate(centres, by_cell=True) for centres in mesh.centroids.T])
-    places = raster.centres
-    centres = np.full_like(places, np.nan)
-    for axis, lines in enumerate((mesh.x, mesh.y)):
-        cells = np.searchsorted(lines, places[:, axis], side="right") - 1
-        held = (cells >= 0) & (cells < len(lines) - 1)
-        centres[held, axis] = 0.5 * (lines[cells[held]] + lines[cells[held] + 1])
-    centres[np.isnan(centres).any(axis=1)] = np.nan
-    return centres
+    found = []
+    for lines, places in zip((mesh.x, mesh.y), raster.centres.T, strict=True):
+        # Before the first line and behind the last one it is the last of these.
+        centres = np.append(0.5 * (lines[1:] + lines[:-1]), np.nan)
+        found.append(centres[np.searchsorted(lines, places, side="right") - 1])
+    return np.column_stack(found)
 
 
 @dataclass(frozen=True, eq=False)
