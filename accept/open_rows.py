@@ -34,9 +34,6 @@ OPEN: dict[tuple[str, str], str] = {
         "strains of openhole and fracture: a stripe of three cells is the strain of some twenty nodes, 1 % of them, by "
         "which the ends at 2 and 98 % move by 5.2 and 10.8 % of their span where tails are long; colours of all other "
         "cells change by 2 of 255",
-    ("newcomer", "large"):
-        "beside other programs 0.60 s after a zoom on 29 Mpx; on 484 Mpx 1.80 s and 1.75 GiB, which are those of the "
-        "two million elements that the case begins with: the page builds the whole mesh to check and to draw it",
     ("performance", "speedup"):
         "two processor cores of a shared machine, which slow each other down: 1.3 to 1.8 in three runs; of f43a80d the "
         "pixel work on the beam becomes 1.43 and 1.50 times faster, in turn with 1.84 and 1.94 of this code",

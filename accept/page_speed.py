@@ -53,22 +53,37 @@ NEXT = """([name, kind]) => {
         return x[0] <= Math.max(across.start, 0) && dw[0] <= 1.1 * width + 64
             && x[0] + dw[0] >= across.end - 64 && y[0] <= Math.max(down.end, 0);
     };
+    let number = 0;
     const look = () => {
+        const own = ++number;
+        window.ddicDrawn = null;
         if (!isSharp()) return;
-        source.properties.data.change.disconnect(look);
-        window.removeEventListener(kind, begin, {capture: true});
-        requestAnimationFrame(() => requestAnimationFrame(() => { window.ddicDrawn = performance.now(); }));
+        requestAnimationFrame(() => requestAnimationFrame(() => {
+            if (own == number) window.ddicDrawn = performance.now();
+        }));
     };
+    const unsettle = () => { number += 1; window.ddicDrawn = null; };
     source.properties.data.change.connect(look);
+    for (const range of [across, down]) range.change.connect(unsettle);
+    window.ddicForget = () => {
+        source.properties.data.change.disconnect(look);
+        for (const range of [across, down]) range.change.disconnect(unsettle);
+        window.removeEventListener(kind, begin, {capture: true});
+    };
 }"""
-"""Notes when the window in sight has been drawn, after the last event of a kind."""
+"""Notes when the window in sight has been drawn, after the last event of a kind and the last change of the window."""
+
+SETTLED_S = 0.1
+"""After an event in which the browser has changed what is in sight."""
 
 
 def time_next(tab: Tab, event: str, act: Callable[[], None]) -> float:
     """Measure the seconds from the last of some events, of a kind of the browser's, to the image drawn after it."""
     tab.page.evaluate(NEXT, [tab.figure, event])
     act()
+    time.sleep(SETTLED_S)
     tab.page.wait_for_function("window.ddicDrawn !== null", timeout=60_000)
+    tab.page.evaluate("window.ddicForget()")
     return float(tab.page.evaluate("window.ddicDrawn - window.ddicBegun")) / 1000.0
 
 
@@ -189,6 +204,9 @@ MOST_FRAME_S = 0.3
 N_MOVES, STRIDE = 20, 0.382
 """Moves of the slider, and its way from one to the next, as a share of its length, when it does not go by one."""
 
+GLIDE_S = 0.4
+"""After a click in which the slider's handle glides to its place, and takes no other click."""
+
 
 def measure_slider(scale: Scale) -> list[Row]:
     """Move the slider of a long series by a frame and farther, over the reference and the deformed images."""
@@ -233,5 +251,9 @@ def _jump(tab: Tab) -> list[float]:
     middle = box["y"] + box["height"] / 2
     shares = [0.05 + 0.9 * (number * STRIDE % 1.0) for number in range(1, N_MOVES + 1)]
     places = [box["x"] + box["width"] * share for share in shares]
-    return [time_next(tab, "pointerdown", lambda: tab.page.mouse.click(place, middle))  # noqa: B023  called at once
-            for place in places]
+
+    def click(place: float) -> float:
+        time.sleep(GLIDE_S)
+        return time_next(tab, "pointerdown", lambda: tab.page.mouse.click(place, middle))
+
+    return [click(place) for place in places]

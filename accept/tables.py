@@ -164,6 +164,8 @@ TABLES: dict[str, dict[str, str]] = {
         "wrong_inputs": "page_mistakes.measure_wrong_inputs",
         "requests": "page_server.measure_requests",
         "large": "page_speed.measure_large",
+        "slider": "page_speed.measure_slider",
+        "ends": "page_server.measure_ends",
         "colours": "outlier_colours.measure_colours",
         "docs": "documents.measure_documents",
     },

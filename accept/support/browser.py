@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
@@ -68,7 +69,8 @@ class ServedPage:
     def __init__(self, *arguments: str, folder: Path) -> None:
         self._said: IO[str] = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115  # closed by __exit__
         self.process = psutil.Popen([*DDIC, *arguments, "--no-browser"], cwd=folder, env=environment(), text=True,
-                                    stdout=subprocess.PIPE, stderr=self._said, start_new_session=True)
+                                    stdout=subprocess.PIPE, stderr=self._said, start_new_session=True,
+                                    preexec_fn=_heed_interrupts)
         first = self.process.stdout.readline().split()
         if len(first) < 2:
             raise RuntimeError(f"ddic {' '.join(arguments)} serves no page: {self.read_errors()}")
@@ -98,6 +100,11 @@ class ServedPage:
         self.process.wait()
         self.process.stdout.close()
         self._said.close()
+
+
+def _heed_interrupts() -> None:
+    """As a terminal starts a command; one that a job in the background starts inherits that Ctrl-C is ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @contextmanager

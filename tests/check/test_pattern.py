@@ -13,6 +13,8 @@ from ddic.case.loader import load_case
 from ddic.check.pattern import BLOCK, choose_region, find_pattern
 from ddic.cli.app import command_line
 from ddic.images.binned import ArraySource
+from ddic.io.image_file import open_image
+from ddic.mesh.structured import build_grid_lines
 from ddic.synth.speckle import SpeckleTexture
 
 WIDTH, HEIGHT = 640, 480
@@ -146,6 +148,10 @@ def test_check_tells_what_the_pattern_asks_and_which_cells_are_bare(pair: Path) 
     n_bare = int(lines["bare"].split()[1])
     assert 10 <= n_bare <= 30
     assert lines["verdict"] == "ready to run"
+    # The cells of the whole grid at once.
+    pattern = find_pattern(open_image(pair / "f.tif"))
+    centres = build_grid_lines((144.0, 64.0, 496.0, 448.0), 16.0).centroids
+    assert n_bare == pattern.find_bare(centres).sum()
     # Rows in the place of columns.
     _, swapped, _ = check(pair, "[0, 144, 128, 464]")
     assert "is bare" in swapped["verdict"]

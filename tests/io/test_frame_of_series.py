@@ -9,6 +9,7 @@ import pytest
 
 import ddic
 from ddic.errors import InputError
+from ddic.io import hdf5_file
 from ddic.io.series_reader import (
     find_displacement_range,
     gather_history,
@@ -43,6 +44,18 @@ def test_a_frame_is_read_by_its_number(series: Path) -> None:
 def test_frames_that_are_not_there_are_refused_by_a_line(series: Path, number: int | None, line: str) -> None:
     with pytest.raises(InputError, match=line):
         read_frame(series, number)
+
+
+def test_a_file_is_looked_through_once_as_long_as_it_is_the_same(series: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Path] = []
+    monkeypatch.setattr(hdf5_file, "_require_finite", lambda path, file: looked.append(path))
+    frames = read_series(series)
+    assert [result.mesh.n_cells for result in frames] == [MESH.n_cells] * 3
+    assert looked == [series]
+    # Other bytes under the same name.
+    series.write_bytes(series.read_bytes() + b"\0")
+    assert frames[0].mesh.n_cells == MESH.n_cells
+    assert looked == [series, series]
 
 
 def test_a_pair_has_no_frames(tmp_path: Path, write_result: object) -> None:

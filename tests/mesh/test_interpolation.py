@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.mesh.cell_type import Q4
-from ddic.mesh.interpolation import interpolate, interpolate_located, is_inside_outline, locate
+from ddic.mesh.interpolation import CellSearch, interpolate, interpolate_located, is_inside_outline, locate
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import build_structured_mesh
 from support.random_meshes import SEEDS, delaunay_meshes, grid_mesh, grid_meshes
@@ -57,6 +57,20 @@ def test_local_coordinates_are_those_of_the_points(mesh: Mesh, seed: int) -> Non
         np.testing.assert_allclose(located.local, local, atol=1e-10)
         expected = np.einsum("na,nac->nc", shapes, values[block.nodes])
         np.testing.assert_allclose(interpolate(mesh, values, points), expected, atol=1e-9)
+
+
+@settings(max_examples=40)
+@given(mesh=MESHES, seed=SEEDS)
+def test_cells_near_a_point_are_all_that_touch_its_surroundings(mesh: Mesh, seed: int) -> None:
+    """At least those within two sides of the mean cell's square; everywhere, beside the mesh too."""
+    search = CellSearch(mesh)
+    low, high = mesh.outlines.find_boxes()
+    reach = 2.0 * np.sqrt(np.ptp(mesh.nodes, axis=0).prod() / mesh.n_cells)
+    rng = np.random.default_rng(seed)
+    for point in rng.uniform(mesh.nodes.min(axis=0) - reach, mesh.nodes.max(axis=0) + reach, (10, 2)):
+        touches = ((low <= point + reach) & (high >= point - reach)).all(axis=1)
+        assert set(np.flatnonzero(touches)) <= set(search.list_near((point[0], point[1])))
+    assert not len(search.list_near((1e6, -1e6)))
 
 
 @pytest.mark.parametrize("corner", [(52.0, 47.0), (44.0, 43.0), (38.6, 36.6), (37.5, 36.9)])

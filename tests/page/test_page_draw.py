@@ -15,11 +15,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from bokeh.events import RangesUpdate
-from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Scatter, Segment
+from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Segment
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
+from ddic.mesh.grid import GridLines
+from ddic.mesh.mesh import Mesh
 from ddic.page import drawn_case
 from ddic.page.clicks import DOUBLE_CLICK_S
 from ddic.page.draw import STRENGTHS, make_draw_page
@@ -237,7 +238,6 @@ def test_what_is_in_sight_is_read_once_it_rests(open_draw: OpenDraw) -> None:
     for half in (60.0, 30.0, 4.0):
         plot.x_range.update(start=96.0 - half, end=96.0 + half)
         plot.y_range.update(start=96.0 + half, end=96.0 - half)
-        plot._trigger_event(RangesUpdate(plot))
     assert tab.shown()[1] == (-0.5, -0.5, 191.5, 191.5)
     tab.rest()
     rgba, box = tab.shown()
@@ -290,20 +290,52 @@ def test_texture_is_drawn_by_element_and_weak_nodes_are_marked(folder: Path, job
     cv2.imwrite(str(folder / "f.tif"), image)
     (folder / "case.toml").write_text(case_text(), encoding="utf-8")
     tab = Tab(partial(make_draw_page, open_drawn_case(folder / "f.tif", folder / "case.toml")), jobs)
-    tab.find(CheckboxGroup).active = [1, 2]
-    plot = tab.find(Plot, name="image")
-    weak = next(r.data_source.data for r in plot.renderers
-                if isinstance(r.glyph, Scatter) and r.glyph.fill_color == "#ff3030" and r.glyph.size == 4)
-    # Blocks of 16 px from 96 on are flat; 10 rows of nodes from 104 to 168.
-    assert sorted(set(np.asarray(weak["x"]).tolist())) == [104.0, 120.0, 136.0, 152.0, 168.0]
-    assert len(weak["x"]) == 50
+    tab.find(CheckboxGroup).active = [2]
     rgba, box = tab.shown()
     pitch = (box[2] - box[0]) / rgba.shape[1]
+    # Blocks of 16 px from 96 on are flat; 10 rows of nodes from 104 to 168.
+    n_dots, _, _, centres = cv2.connectedComponentsWithStats((rgba[..., 0] != rgba[..., 1]).astype(np.uint8))
+    assert n_dots == 1 + 50
+    # Rounded to a pixel of the screen, and four of them wide.
+    columns = np.unique(box[0] + pitch * (centres[1:, 0] + 0.5))
+    np.testing.assert_allclose(columns, np.arange(104.0, 169.0, 16.0), atol=pitch)
+    tab.find(CheckboxGroup).active = [1]
+    rgba, box = tab.shown()
     left, right = (rgba[round(90.0 / pitch), round(x / pitch), :3].astype(int) for x in (60.0, 140.0))
     # Red at the low end of the colours, green or yellow where texture is as in most of the pattern.
     assert right[0] > right[1]
     assert left[1] >= left[0]
     assert STRENGTHS[0] < 0 < STRENGTHS[1]
+
+
+def test_of_a_rectangle_no_whole_mesh_is_built(drawn: DrawnCase, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither where it is found fit nor where something else is wrong."""
+    build = GridLines.build_mesh
+
+    def build_small(grid: GridLines) -> Mesh:
+        # Its outline is one rectangle.
+        assert grid.n_cells == 1
+        return build(grid)
+
+    monkeypatch.setattr(GridLines, "build_mesh", build_small)
+    checked = check_text(drawn.text, drawn)
+    assert isinstance(checked.mesh, GridLines)
+    assert checked.report is not None
+    wrong = check_text(f"{drawn.text}\n[regularization]\ncut_off_wavelength = 1e6\n", drawn)
+    assert isinstance(wrong.mesh, GridLines)
+    assert wrong.problems
+
+
+def test_what_is_too_large_to_be_drawn_is_told(drawn: DrawnCase, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh with a hole is built as a whole: beyond a limit its outline alone is drawn."""
+    text = drawn.text.replace("element_size = ", "circles = [{ center = [96, 96], radius = 20 }]\nelement_size = ")
+    checked = check_text(text, drawn)
+    assert isinstance(checked.mesh, Mesh)
+    monkeypatch.setattr(drawn_case, "MOST_CELLS", checked.mesh.n_cells - 1)
+    refused = check_text(text, drawn)
+    assert (refused.mesh, refused.report) == (None, None)
+    assert "outlines alone, and ddic check" in refused.problems[0]
+    assert check_text(drawn.text, drawn).report is not None
 
 
 def test_undo_takes_back_one_change_after_the_other(open_draw: OpenDraw, folder: Path) -> None:

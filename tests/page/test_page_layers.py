@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.interpolation import CellSearch
+from ddic.mesh.structured import build_grid_lines, build_structured_mesh
 from ddic.mesh.topology import find_boundary_facets
 from ddic.page.image_pane import ScreenRaster
-from ddic.page.layers import SMALLEST_CELL, Overlay, draw_edges, draw_field, draw_hatching
+from ddic.page.layers import (
+    DOT,
+    SMALLEST_CELL,
+    Overlay,
+    draw_dots,
+    draw_edges,
+    draw_field,
+    draw_hatching,
+    find_cell_centres,
+    find_nodes_in_sight,
+)
 from support.random_meshes import grid_mesh
 
 PITCH = 0.25
@@ -46,10 +58,70 @@ def test_of_cells_too_small_to_see_the_outline_is_left() -> None:
     assert np.abs(np.array(corners) - (np.array([10.0, 10.0, 42.0, 58.0]) + 0.5) / PITCH).max() <= 1.5
 
 
+GRID = build_grid_lines((10.0, 10.0, 58.0, 42.0), 4.0)
+SIDE_BY_SIDE = GRID.build_mesh()
+WINDOW = ScreenRaster(np.full((96, 120), 100, np.uint8), (20.0, 3.0, 50.0, 27.0))
+"""A part of that grid and of what lies above it."""
+
+
+@pytest.mark.parametrize("raster", [RASTER, WINDOW])
+def test_a_grid_is_drawn_as_its_mesh(raster: ScreenRaster) -> None:
+    """Lines of the grid lie where edges of its cells do, but where they are drawn twice or end in the last pixel."""
+    drawn = []
+    for mesh in (GRID, SIDE_BY_SIDE):
+        rgba = np.full((*raster.grey.shape, 4), 100, np.uint8)
+        draw_edges(rgba, raster, mesh, find_boundary_facets(SIDE_BY_SIDE)[:, :2], (255, 0, 0))
+        drawn.append((rgba[..., :3] != 100).any(axis=2))
+    assert drawn[0].sum() > 1000
+    assert (drawn[0] != drawn[1]).mean() < 0.01
+
+
+def test_of_a_fine_grid_the_outline_is_left() -> None:
+    rgba = np.full((*RASTER.grey.shape, 4), 100, np.uint8)
+    draw_edges(rgba, RASTER, build_grid_lines((10.0, 10.0, 58.0, 42.0), 1.0), np.zeros((0, 2), np.int64), (255, 0, 0))
+    rows, columns = np.nonzero((rgba[..., :3] != 100).any(axis=2))
+    middle = (rows > 60) & (rows < 150) & (columns > 60) & (columns < 220)
+    assert len(rows) > 500
+    assert not middle.any()
+
+
+@pytest.mark.parametrize("raster", [RASTER, WINDOW])
+def test_cells_of_a_grid_are_found_as_those_of_its_mesh(raster: ScreenRaster) -> None:
+    centres = find_cell_centres(GRID, raster)
+    known = np.isfinite(centres).all(axis=1)
+    assert 0 < known.sum() < len(known)
+    # Means of two and of four coordinates of some ten pixels.
+    expected = find_cell_centres(SIDE_BY_SIDE, raster)
+    np.testing.assert_array_equal(known, np.isfinite(expected).all(axis=1))
+    np.testing.assert_allclose(centres[known], expected[known], atol=1e-12)
+
+
+@pytest.mark.parametrize("raster", [RASTER, WINDOW])
+def test_nodes_of_a_grid_are_those_of_its_mesh_in_sight(raster: ScreenRaster) -> None:
+    nodes = SIDE_BY_SIDE.nodes
+    in_sight = ((nodes >= raster.box[:2]) & (nodes <= raster.box[2:])).all(axis=1)
+    np.testing.assert_array_equal(find_nodes_in_sight(GRID, raster), nodes[in_sight])
+
+
+def test_of_nodes_finer_than_the_screen_some_are_left() -> None:
+    """A grid of four million nodes, of which the screen has room for one in each dot."""
+    nodes = find_nodes_in_sight(build_grid_lines((0.0, 0.0, 79.0, 59.0), 0.04), RASTER)
+    assert len(nodes) <= np.prod(RASTER.grey.shape)
+    np.testing.assert_allclose(np.ptp(nodes, axis=0), (79.0, 59.0), atol=4.0 * PITCH)
+
+
+def test_dots_lie_on_their_points() -> None:
+    rgba = np.full((*RASTER.grey.shape, 4), 100, np.uint8)
+    draw_dots(rgba, RASTER, np.array([(20.0, 10.0), (500.0, 10.0), (-3.0, -3.0)]), (255, 0, 0))
+    rows, columns = np.nonzero(rgba[..., 0] == 255)
+    assert len(rows) == DOT**2
+    assert (columns.mean(), rows.mean()) == pytest.approx(tuple((np.array([20.0, 10.0]) + 0.5) / PITCH), abs=1.0)
+
+
 def test_values_lie_where_the_mesh_is() -> None:
     """Linear between nodes of any cells, those of cells as they are, nan outside."""
     mesh = grid_mesh(6, 4, (8.0, 8.0), origin=(10.0, 10.0), cells="mixed", jitter=0.2)
-    overlay = Overlay.find(mesh, RASTER)
+    overlay = Overlay.find(CellSearch(mesh), RASTER)
     places = RASTER.centres
     linear = overlay.interpolate(2.0 + 0.3 * mesh.nodes[:, 0] - 0.1 * mesh.nodes[:, 1], by_cell=False)
     known = np.isfinite(linear)

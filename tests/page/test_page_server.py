@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import http.client
 import re
 import socket
@@ -20,6 +21,7 @@ from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from ddic.errors import InputError
+from ddic.page import server
 from ddic.page.draw import make_draw_page
 from ddic.page.drawn_case import DrawnCase
 from ddic.page.server import start_in_thread, start_server
@@ -206,6 +208,16 @@ def test_a_port_that_is_taken_is_told(served: Served) -> None:
 
     with pytest.raises(InputError, match=rf"--port {served.port}: is taken, or not allowed"):
         asyncio.run(start())
+
+
+def test_who_waits_for_an_address_hears_that_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a notebook does, which would wait for ever."""
+    def refuse(*args: object, **options: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(server, "Server", refuse)
+    with pytest.raises(InputError, match=r"^no port of 127\.0\.0\.1 can be opened .*Operation not permitted"):
+        start_in_thread(lambda document: None)
 
 
 def test_pages_have_tokens_of_their_own(served: Served) -> None:

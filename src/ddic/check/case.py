@@ -9,7 +9,7 @@ import numpy as np
 
 from ddic.arrays import IntArray
 from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
-from ddic.case.methods import find_method
+from ddic.case.methods import find_method, find_method_section
 from ddic.case.named_files import list_cameras, list_deformed, list_named_files, list_times
 from ddic.case.own_outputs import check_output
 from ddic.case.schema import Case, RegularizationSection, SolverSection
@@ -173,21 +173,33 @@ def check_case_file(path: Path) -> CheckReport:
     return describe_pattern(report, loaded, build_checked_mesh(loaded, image), find_pattern(image))
 
 
-def build_checked_mesh(loaded: LoadedCase, image: ImageSource) -> Mesh:
-    """Take the mesh of a case that was just checked, which is kept, or build it; pixels of its reference image."""
+def build_checked_mesh(loaded: LoadedCase, image: ImageSource) -> Mesh | GridLines:
+    """Take the mesh of a case that was just checked, which is kept, or build it; pixels of its reference image.
+
+    Of a rectangle of equal cells, which nobody builds as a whole, it is the lines.
+    """
     kept = loaded.kept_mesh.take(loaded.case)
     if kept is not None:
         return kept[0]
+    if find_method_section(loaded.case) is None and is_plain_grid(loaded.case):
+        return build_plain_grid(loaded.case)
     mesh: Mesh = find_method(loaded.case).build_result_mesh(loaded.case, image.width, image.height)
     return mesh
 
 
-def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh, pattern: Pattern) -> CheckReport:
+def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridLines,
+                     pattern: Pattern) -> CheckReport:
     """Add to a report what the reference image's pattern asks of the mesh, and the frames of a series."""
     case = loaded.case
-    n_bare = 0 if case.near else int(pattern.find_bare(mesh.centroids).sum())
+    if isinstance(mesh, GridLines):
+        cell_size = mesh.cell_size
+        rows = (GridLines(mesh.x, mesh.y[k:k + 2]) for k in range(len(mesh.y) - 1))
+        n_bare = sum(int(pattern.find_bare(row.centroids).sum()) for row in rows)
+    else:
+        cell_size = measure_cell_size(mesh)
+        n_bare = 0 if case.near else int(pattern.find_bare(mesh.centroids).sum())
     frames = tuple(zip((path.name for path in list_deformed(case.images)), list_times(case), strict=True))
-    return replace(report, pattern=pattern.describe_elements(measure_cell_size(mesh)), n_bare_cells=n_bare,
+    return replace(report, pattern=pattern.describe_elements(cell_size), n_bare_cells=n_bare,
                    frames=frames if loaded.is_series else ())
 
 

@@ -71,8 +71,9 @@ class Pattern:
         return np.asarray(~self.has_texture[self._find_blocks(points)])
 
     def find_strength(self, points: Array) -> Array:
-        """Find how strong the pattern is about points, (n, 2), pixels, (n,): 1 where it is as in most of it."""
-        return np.asarray(self.strength[self._find_blocks(points)])
+        """Find how strong the pattern is about points, (n, 2), pixels, (n,): 1 where as in most of it; nan at nan."""
+        strength = self.strength[self._find_blocks(np.nan_to_num(points))]
+        return np.where(np.isnan(points).any(axis=1), np.nan, strength)
 
     def _find_blocks(self, points: Array) -> tuple[IntArray, IntArray]:
         """Rows and columns of the blocks that hold points."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.io.input_file import FileStamps
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -52,19 +53,24 @@ _HEADER, _OBJECT = struct.Struct("<8sQ"), struct.Struct("<HHIQ")
 """Signature and size of a collection; number, references, nothing and size of an object in it."""
 
 
-def open_hdf5(path: Path) -> h5py.File:
+NONE_KNOWN = FileStamps()
+
+
+def open_hdf5(path: Path, known: FileStamps = NONE_KNOWN) -> h5py.File:
     """Open an HDF5 file for reading; the caller closes it.
 
     The library reads a collection of texts object by object, and stays for ever at one of no size: where a disk has
     left zeros, no time limit in this process ends it. All else that is damaged the library finds by itself. Hence
-    collections are looked through here, in what of the file is no array: a few hundred kilobytes of any result.
+    collections are looked through here, in what of the file is no array: a few hundred kilobytes of any result. Files
+    that are ``known`` were looked through before, and are not again as long as they are the same.
 
     Raises InputError where a collection would hold the library for ever, or the objects of the file cannot be listed;
     OSError where it cannot be opened, or is no HDF5 file.
     """
     with ExitStack() as stack:
         file = stack.enter_context(h5py.File(path, "r"))
-        _require_finite(path, file)
+        if path not in known.stamps or known.list_changes():
+            _require_finite(path, file)
         stack.pop_all()
     return file
 

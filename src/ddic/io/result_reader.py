@@ -16,8 +16,8 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
-from ddic.io.hdf5_file import READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
-from ddic.io.input_file import as_path, require_file
+from ddic.io.hdf5_file import NONE_KNOWN, READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
+from ddic.io.input_file import FileStamps, as_path, require_file
 from ddic.mesh.cell_parts import find_offsets, list_ranges
 from ddic.mesh.interpolation import EDGE, differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
@@ -267,15 +267,16 @@ def read_result(path: Path | str) -> Result:
 
 
 @contextmanager
-def opened_result(path: Path | str) -> Iterator[tuple[Path, Any]]:
+def opened_result(path: Path | str, known: FileStamps = NONE_KNOWN) -> Iterator[tuple[Path, Any]]:
     """Open a result file, of a pair or of a series, for reading; yield its name and the file.
 
+    Files that are ``known`` are not looked through for damage again.
     Raises InputError where it is missing, foreign, of a newer major schema, or damaged where it is read inside.
     """
     path = as_path(path, "result")
     require_file(path, "result file")
     try:
-        with open_hdf5(path) as file:
+        with open_hdf5(path, known) as file:
             _check_schema(path, file)
             yield path, file
     except READ_ERRORS as error:
@@ -291,8 +292,11 @@ def clip_result(result: Result, low: Array, high: Array) -> Result:
     lowest, highest = result.mesh.outlines.find_boxes()
     touches = ((highest >= low - 2.0 * EDGE) & (lowest <= high + 2.0 * EDGE)).all(axis=1)
     cells = np.flatnonzero(touches)
-    if not len(cells):
-        return result
+    return keep_cells(result, cells) if len(cells) else result
+
+
+def keep_cells(result: Result, cells: IntArray) -> Result:
+    """Keep some cells of a result, (n,), and their nodes."""
     mesh, nodes = result.mesh.create_submesh(cells)
     return replace(result, mesh=mesh, displacement=result.displacement[nodes],
                    subdomain_ids=result.subdomain_ids[cells],

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, overload
@@ -15,8 +15,8 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.damaged_result import require_sound_fields, require_sound_frames
-from ddic.io.hdf5_file import READ_ERRORS, open_hdf5, read_array
-from ddic.io.input_file import is_readable_file
+from ddic.io.hdf5_file import NONE_KNOWN, READ_ERRORS, open_hdf5, read_array
+from ddic.io.input_file import FileStamps, as_path, is_readable_file
 from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_covered_areas
@@ -36,12 +36,15 @@ class SeriesResult:
         Of them among all frames, from 1.
     records : tuple of dict
         Of all frames, measured or not: number, image, time, converged, iterations, failure and more.
+    known : FileStamps
+        Of the file when it was looked through for damage, which takes longer than to read a frame.
     """
 
     path: Path
     times: Array
     numbers: IntArray
     records: tuple[Mapping[str, Any], ...]
+    known: FileStamps = NONE_KNOWN
 
     def __repr__(self) -> str:
         return f"<ddic.SeriesResult {self.path}: {len(self)} of {len(self.records)} frames measured>"
@@ -82,7 +85,7 @@ class SeriesResult:
 
     def _read(self, step: int) -> Result:
         number = self.numbers[step]
-        with opened_result(self.path) as (_, file):
+        with opened_result(self.path, self.known) as (_, file):
             if schema.STEPS not in file:
                 return read_open_file(self.path, file)
             # Kept with what is told of the frames: it is estimated at the first one of each run that goes on.
@@ -125,8 +128,9 @@ def read_series(path: Path | str) -> SeriesResult:
     InputError
         Where it is missing, foreign, damaged or of a newer major schema.
     """
+    known = FileStamps.take([as_path(path, "result")])
     with opened_result(path) as (name, file):
-        return _read_contents(name, file)
+        return replace(_read_contents(name, file), known=known)
 
 
 def read_frames(path: Path | str) -> Iterator[Result]:
@@ -180,7 +184,7 @@ def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
     Nodes that were not measured do not count; nan where none was. The series has at least one frame.
     """
     low, high = np.full(2, np.nan), np.full(2, np.nan)
-    with opened_result(series.path) as (_, file):
+    with opened_result(series.path, series.known) as (_, file):
         stored = file[schema.POINT_DATA][schema.DISPLACEMENT]
         require_sound_fields({schema.DISPLACEMENT: stored}, len(stored))
         for begin in range(0, len(stored), ROWS):

@@ -1,6 +1,7 @@
 """Values at any point of a mesh, by the shape functions of the cell that holds it; which points lie in which cells."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numba
@@ -113,18 +114,54 @@ def locate(mesh: Mesh, points: Array) -> Located:
     A point on an edge or a node belongs to one of the cells there, the first of those that hold it. Cells must be
     convex and run positively, as ``repair`` leaves them.
     """
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    cells = np.full(len(points), -1, dtype=np.int64)
-    if mesh.n_cells:
-        _find_cells(points, mesh.outlines, _sort_into_buckets(mesh), EDGE, cells)
-    return place_in_cells(mesh, cells, points)
+    return CellSearch(mesh).locate(points)
+
+
+@dataclass(frozen=True, eq=False)
+class CellSearch:
+    """A mesh whose cells are sorted by where they are: once, for many searches.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Its cells are convex and run positively.
+    """
+
+    mesh: Mesh
+
+    @cached_property
+    def _buckets(self) -> _Buckets:
+        return _sort_into_buckets(self.mesh)
+
+    def locate(self, points: Array) -> Located:
+        """Find the cells that hold points, as ``locate`` does."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        cells = np.full(len(points), -1, dtype=np.int64)
+        if self.mesh.n_cells:
+            _find_cells(points, self.mesh.outlines, self._buckets, EDGE, cells)
+        return place_in_cells(self.mesh, cells, points)
+
+    def list_near(self, point: tuple[float, float]) -> IntArray:
+        """List the cells, sorted, that reach within about two mean sizes of a cell from a point, pixels."""
+        buckets = self._buckets
+        column, row = np.floor((np.array(point) - buckets.low) / buckets.size).astype(int)
+        begin, end = np.clip([column - 2, column + 3], 0, buckets.columns)
+        near = [np.zeros(0, np.int64)]
+        for k in range(max(row - 2, 0), min(row + 3, buckets.rows)):
+            first, last = buckets.first[k * buckets.columns + np.array([begin, end])]
+            near.append(buckets.cells[first:last])
+        return np.unique(np.concatenate(near))
 
 
 def place_in_cells(mesh: Mesh, cells: IntArray, points: Array) -> Located:
     """Place points, pixels, in given convex cells, -1 for none, or beyond them: shape functions go on outside."""
     local = np.full(points.shape, np.nan)
-    if mesh.n_cells:
-        _find_local_coordinates(points, cells, compute_geometry(mesh), local)
+    is_held = np.zeros(mesh.n_cells, dtype=bool)
+    is_held[cells[cells >= 0]] = True
+    held = np.flatnonzero(is_held)
+    if len(held):
+        numbers = np.cumsum(is_held) - 1
+        _find_local_coordinates(points, np.where(cells < 0, -1, numbers[cells]), compute_geometry(mesh, held), local)
     return Located(cells, local)
 
 

@@ -277,13 +277,13 @@ def pad_cells(mesh: Mesh) -> IntArray:
     return np.where(cells < 0, first, cells)
 
 
-def compute_geometry(mesh: Mesh) -> Array:
-    """Find the map x = sum_m X_m phi_m(xi, eta) from the reference cell to every cell: X, (n_cells, dim, 4), pixels."""
+def compute_geometry(mesh: Mesh, cells: IntArray | slice = slice(None)) -> Array:
+    """Find the map x = sum_m X_m phi_m(xi, eta) from the reference cell to cells: X, (n, dim, 4), pixels."""
     of_type = np.zeros((max(CELL_TYPES) + 1, N_MONOMIALS, N_MONOMIALS))
     for number, kind in CELL_TYPES.items():
         of_type[number] = pad_shapes(kind)
-    coordinates = mesh.nodes[pad_cells(mesh)]
-    return np.ascontiguousarray(np.einsum("eam,eac->ecm", of_type[mesh.types], coordinates))
+    coordinates = mesh.nodes[pad_cells(mesh)[cells]]
+    return np.ascontiguousarray(np.einsum("eam,eac->ecm", of_type[mesh.types[cells]], coordinates))
 
 
 def compute_shape_gradients(mesh: Mesh, block: CellsOfType, local: Array) -> tuple[Array, Array]:

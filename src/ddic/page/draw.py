@@ -54,7 +54,7 @@ from ddic.page.case_text import (
 from ddic.page.clicks import ClickDrawer
 from ddic.page.drawn_case import CaseFile, Checked, DrawnCase, check_text, find_mask_outline
 from ddic.page.image_pane import ImagePane, Rgba, ScreenRaster
-from ddic.page.layers import Overlay, draw_edges, draw_field
+from ddic.page.layers import draw_dots, draw_edges, draw_field, find_cell_centres, find_nodes_in_sight
 from ddic.page.probe_box import FORMS, ProbeBox
 from ddic.page.view import show_results
 from ddic.probes.probes import parse_probes
@@ -108,8 +108,6 @@ class _DrawPage:
         handles = self.pane.figure.scatter("x", "y", source=self._handles, color="#ffd040", marker="square", size=9)
         self.pane.figure.add_tools(PointDrawTool(renderers=[handles], add=False, description="Move the points drawn"))
         self._handles.on_change("data", lambda attribute, old, new: self._move_points())
-        self._weak = ColumnDataSource({"x": [], "y": []})
-        self.pane.figure.scatter("x", "y", source=self._weak, color="#ff3030", size=4)
         self._wave = ColumnDataSource({"x": [], "y": [], "x1": [], "text": []})
         self.pane.figure.segment("x", "y", "x1", "y", source=self._wave, color="#40ff80", line_width=4)
         self.pane.figure.text("x", "y", "text", source=self._wave, color="#40ff80", y_offset=-6,
@@ -142,7 +140,7 @@ class _DrawPage:
         for box, keys in ((self.element_size, (*MESH, "element_size")),
                           (self.wavelength, ("regularization", "cut_off_wavelength"))):
             box.on_change("value", partial(self._set_number, keys))
-        self.shown.on_change("active", lambda attribute, old, new: self._draw_again())
+        self.shown.on_change("active", lambda attribute, old, new: self.pane.draw())
         self.write.on_click(self._write)
 
     @property
@@ -272,7 +270,7 @@ class _DrawPage:
         self._checked = checked
         self._outline = find_mask_outline(checked.loaded, self._drawn.image)
         self._show_wavelength()
-        self._draw_again()
+        self.pane.draw()
         self._tell(checked.problems)
 
     def _tell(self, problems: Sequence[str], done: Sequence[str] = ()) -> None:
@@ -296,14 +294,6 @@ class _DrawPage:
         x, y = mesh.nodes.min(axis=0).tolist()
         self._wave.data = {"x": [x], "y": [y], "x1": [x + wavelength], "text": [f"l_c = {wavelength:g} px"]}
 
-    def _draw_again(self) -> None:
-        mesh = self._checked.mesh
-        nodes = np.zeros((0, 2))
-        if mesh is not None and WEAK in self._get_shown():
-            nodes = mesh.nodes[self._drawn.pattern.find_bare(mesh.nodes)]
-        self._weak.data = {"x": nodes[:, 0], "y": nodes[:, 1]}
-        self.pane.draw()
-
     def _get_shown(self) -> list[str]:
         return [self.shown.labels[number] for number in self.shown.active]
 
@@ -311,11 +301,15 @@ class _DrawPage:
         mesh = self._checked.mesh
         if mesh is None or not mesh.n_cells:
             return
+        pattern = self._drawn.pattern
         if TEXTURE in self._get_shown():
-            strength = np.log10(np.maximum(self._drawn.pattern.find_strength(mesh.centroids), 1e-12))
-            draw_field(rgba, Overlay.find(mesh, raster).interpolate(strength, by_cell=True), STRENGTHS, "RdYlGn")
+            strength = pattern.find_strength(find_cell_centres(mesh, raster))
+            draw_field(rgba, np.log10(np.maximum(strength, 1e-12)), STRENGTHS, "RdYlGn")
         if EDGES in self._get_shown():
             draw_edges(rgba, raster, mesh, self._checked.outline, (90, 200, 255))
+        if WEAK in self._get_shown():
+            nodes = find_nodes_in_sight(mesh, raster)
+            draw_dots(rgba, raster, nodes[pattern.find_bare(nodes)], (255, 48, 48))
 
     def _show_numbers(self) -> None:
         shape = self._shapes.get(self.chosen.value)

@@ -14,19 +14,27 @@ import numpy as np
 
 from ddic.arrays import Array, IntArray
 from ddic.case.loader import LoadedCase, load_text_leniently
+from ddic.case.schema import Case
 from ddic.check.case import CheckReport, build_checked_mesh, check_case, describe_pattern
 from ddic.check.pattern import Pattern, choose_region, find_pattern
 from ddic.check.starter import write_starter_case
 from ddic.errors import InputError
-from ddic.inputs.mesh_source import build_mesh_anywhere
+from ddic.inputs.mesh_source import build_mesh_anywhere, build_plain_grid, is_plain_grid
 from ddic.io.image_file import hold_image, read_mask
 from ddic.io.input_file import find_real_path
 from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 from ddic.io.text_files import read_text
+from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
 from ddic.page.case_run import CaseRun
 from ddic.page.image_pane import ScreenImage
+
+MOST_CELLS = 300_000
+"""Of a mesh that is built as a whole, some 300 MB; more of them take memory and seconds after every change."""
+
+BYTES_OF_CELL = 50
+"""Of a mesh file, with the cell's share of the nodes: the least of usual formats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +70,8 @@ class Checked:
     ----------
     loaded : LoadedCase or None
         As far as it can be read.
-    mesh : Mesh or None
-        As far as there is one.
+    mesh : Mesh, GridLines or None
+        As far as there is one; of a rectangle of equal cells its lines.
     report : CheckReport or None
         Where nothing is wrong.
     problems : sequence of str
@@ -73,7 +81,7 @@ class Checked:
     """
 
     loaded: LoadedCase | None
-    mesh: Mesh | None
+    mesh: Mesh | GridLines | None
     report: CheckReport | None
     problems: Sequence[str]
     warnings: Sequence[str] = ()
@@ -81,7 +89,7 @@ class Checked:
     @cached_property
     def outline(self) -> IntArray:
         """Nodes of the edges at the boundary of the mesh, (n_edges, 2); of a million cells a second's work."""
-        return np.zeros((0, 2), dtype=np.int64) if self.mesh is None else find_boundary_facets(self.mesh)[:, :2]
+        return find_boundary_facets(self.mesh)[:, :2] if isinstance(self.mesh, Mesh) else np.zeros((0, 2), np.int64)
 
 
 ONE_CHECK = Lock()
@@ -101,6 +109,12 @@ def _check_text(text: str, drawn: DrawnCase) -> Checked:
     loaded, problems = load_text_leniently(text, drawn.path)
     if loaded is None:
         return Checked(None, None, None, problems)
+    n_cells = estimate_cells(loaded.case)
+    if n_cells > MOST_CELLS:
+        left_out = (f"{loaded.case.mesh.name}: about {n_cells:,} elements; this page builds meshes of up to "
+                    f"{MOST_CELLS:,}, and of more only rectangles without holes: it draws outlines alone, and "
+                    f"ddic check {drawn.path} says the rest")
+        return Checked(loaded, None, None, [*problems, left_out])
     image = drawn.image.source
     if not _is_drawn_on(loaded, image.path):
         problems = [*problems, f"images.reference: this page shows {image.path}; draw another image by ddic draw"]
@@ -111,9 +125,21 @@ def _check_text(text: str, drawn: DrawnCase) -> Checked:
     except InputError as error:
         problems = list(error.problems)
     try:
-        return Checked(loaded, build_mesh_anywhere(loaded.case), None, problems)
+        build = build_plain_grid if is_plain_grid(loaded.case) else build_mesh_anywhere
+        return Checked(loaded, build(loaded.case), None, problems)
     except InputError:
         return Checked(loaded, None, None, problems)
+
+
+def estimate_cells(case: Case) -> int:
+    """Estimate the cells of the mesh that would be built as a whole for a case, from above where it has holes."""
+    section, file = case.mesh.structured or case.mesh.unstructured, case.mesh.file
+    if file is not None:
+        return file.stat().st_size // BYTES_OF_CELL if file.is_file() else 0
+    if section is None or is_plain_grid(case):
+        return 0
+    x0, y0, x1, y1 = section.box
+    return int((x1 - x0) * (y1 - y0) / section.element_size**2) * (1 if section.cell == "Q4" else 2)
 
 
 def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ()) -> DrawnCase:

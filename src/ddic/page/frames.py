@@ -11,9 +11,9 @@ import numpy as np
 from ddic.arrays import BoolArray
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.result_reader import Result, read_result
+from ddic.io.result_reader import Result, keep_cells, read_result
 from ddic.io.series_reader import SeriesResult, is_series_file, read_series
-from ddic.mesh.interpolation import interpolate_located, locate
+from ddic.mesh.interpolation import CellSearch, interpolate_located, locate
 from ddic.mesh.mesh import Mesh
 from ddic.page.layers import Overlay
 from ddic.plots import canvas, maps
@@ -156,6 +156,16 @@ def find_hatched(result: Result) -> tuple[BoolArray, BoolArray]:
     nothing = np.zeros(result.mesh.n_cells)
     excluded = np.isin(result.cell_data.get(schema.EXCLUDED, nothing), schema.EXCLUDED_STATES)
     return excluded, (result.cell_data.get(schema.DOUBTFUL, nothing) != 0) & ~excluded
+
+
+def describe_place(result: Result, search: CellSearch, place: tuple[float, float], *, is_moved: bool) -> str:
+    """Say in a line what a result says of a place in the image in which its cells lie as in a search."""
+    near = keep_cells(result, search.list_near(place))
+    try:
+        (point,) = move_back(near, [place]) if is_moved else [place]
+    except InputError as error:
+        return str(error)
+    return describe_point(near, *point)
 
 
 def describe_point(result: Result, x: float, y: float) -> str:

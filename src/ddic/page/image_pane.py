@@ -13,7 +13,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from bokeh.events import RangesUpdate, Reset
 from bokeh.models import ColumnDataSource, CustomJS, PanTool, Range1d, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -32,6 +31,9 @@ BAND = 1 << 24
 
 CONTRAST = (0.5, 99.5)
 """Percentiles of the grey levels that are black and white."""
+
+LOOKED_AT = 1 << 18
+"""Pixels of the reduced image that tell them; a larger one takes longer."""
 
 Box = tuple[float, float, float, float]
 
@@ -91,6 +93,7 @@ class ScreenImage:
         overview = _reduce(source, source.extent, self._factor)
         self._overview = ArraySource(source.path, overview)
         finite = overview[np.isfinite(overview)]
+        finite = finite[::max(finite.size // LOOKED_AT, 1)]
         low, high = np.percentile(finite, CONTRAST).tolist() if finite.size else (0.0, 0.0)
         # One grey all over lies in the middle.
         self._black, self._white = (low, high) if low < high else (low - 1.0, low + 1.0)
@@ -165,7 +168,7 @@ SMALLEST_SIDE = 200
 """Of the figure of a narrow image."""
 
 SETTLED_MS = 120
-"""After the last zoom or move that is told: then what is in sight is read."""
+"""After a zoom or a move that is told: then what is in sight is read, also while it goes on."""
 
 POINTER_MS = 60
 """From one place of the pointer that is told to the next."""
@@ -216,8 +219,10 @@ class ImagePane:
         self.figure.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=self._shown, level="image")
         self._pending = False
         self._partners: list[ImagePane] = []
-        self.figure.on_event(RangesUpdate, self._wait_for_rest)
-        self.figure.on_event(Reset, self._wait_for_rest)
+        # Told at every turn of the wheel; the browser's event of a new range comes 0.3 s after the last one.
+        for told in (self.figure.x_range, self.figure.y_range):
+            for end in ("start", "end"):
+                told.on_change(end, lambda attribute, old, new: self._look_soon())
 
     @property
     def box(self) -> Box:
@@ -251,7 +256,7 @@ class ImagePane:
         else:
             self.draw()
 
-    def _wait_for_rest(self, event: object) -> None:
+    def _look_soon(self) -> None:
         if not self._pending:
             self._pending = True
             self.figure.document.add_timeout_callback(self._look_together, SETTLED_MS)

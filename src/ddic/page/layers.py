@@ -10,7 +10,8 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
-from ddic.mesh.interpolation import Located, interpolate_located, locate
+from ddic.mesh.grid import GridLines
+from ddic.mesh.interpolation import CellSearch, Located, interpolate_located
 from ddic.mesh.mesh import Mesh
 from ddic.page.image_pane import Rgba, ScreenRaster
 
@@ -25,29 +26,79 @@ SMALLEST_CELL = 5.0
 HATCH, STROKE = 9, 3
 """From one stroke of the hatching to the next, and its width, pixels of the screen."""
 
+DOT = 4
+"""Side of a dot, pixels of the screen."""
+
 SUBPIXEL_BITS = 4
 """Of the places of lines: sixteenths of a pixel."""
 
 
-def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh, outline: IntArray, colour: Colour) -> None:
+def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh | GridLines, outline: IntArray, colour: Colour) -> None:
     """Draw the edges of the cells in sight; where cells are too small on the screen, the outline of the mesh alone.
 
-    ``outline`` are both nodes of its edges, (n_edges, 2).
+    ``outline`` are both nodes of the edges at the boundary of a mesh, (n_edges, 2).
     """
-    corners = raster.place(mesh.nodes)
+    if isinstance(mesh, GridLines):
+        _draw_lines(rgba, raster, _list_lines(mesh, raster), colour, closed=False)
+        return
     low, high = mesh.outlines.find_boxes()
+    if float(np.median(high - low)) / raster.pitch[0] < SMALLEST_CELL:
+        _draw_lines(rgba, raster, mesh.nodes[outline], colour, closed=False)
+        return
     x0, y0, x1, y1 = raster.box
-    in_sight = np.flatnonzero(((high >= (x0, y0)) & (low <= (x1, y1))).all(axis=1))
-    sides = float(np.median(high - low)) / raster.pitch[0]
-    if sides >= SMALLEST_CELL:
-        _draw_lines(rgba, [corners[mesh.get_cell(cell)] for cell in in_sight], colour, closed=True)
-    else:
-        _draw_lines(rgba, list(corners[outline]), colour, closed=False)
+    in_sight = ((high >= (x0, y0)) & (low <= (x1, y1))).all(axis=1)
+    for block in mesh.cell_blocks:
+        _draw_lines(rgba, raster, mesh.nodes[block.nodes[in_sight[block.cells]]], colour, closed=True)
 
 
-def _draw_lines(rgba: Rgba, lines: list[Array], colour: Colour, *, closed: bool) -> None:
-    places = [np.round(line * 2**SUBPIXEL_BITS).astype(np.int32) for line in lines]
-    cv2.polylines(rgba, places, closed, (*colour, 255), 1, cv2.LINE_AA, SUBPIXEL_BITS)
+def _list_lines(grid: GridLines, raster: ScreenRaster) -> Array:
+    """Both ends of the lines of a grid that may be in sight, (n, 2, 2), pixels."""
+    if grid.cell_size / raster.pitch[0] < SMALLEST_CELL:
+        grid = GridLines(grid.x[[0, -1]], grid.y[[0, -1]])
+    x0, y0, x1, y1 = grid.box
+    x = grid.x[(grid.x >= raster.box[0]) & (grid.x <= raster.box[2])]
+    y = grid.y[(grid.y >= raster.box[1]) & (grid.y <= raster.box[3])]
+    upright, level = [[(at, y0), (at, y1)] for at in x], [[(x0, at), (x1, at)] for at in y]
+    return np.array([*upright, *level]).reshape(-1, 2, 2)
+
+
+def _draw_lines(rgba: Rgba, raster: ScreenRaster, lines: Array, colour: Colour, *, closed: bool) -> None:
+    """Draw lines through points, (n, n_points, 2), pixels of the image."""
+    places = np.round(raster.place(lines) * 2**SUBPIXEL_BITS).astype(np.int32)
+    cv2.polylines(rgba, list(places), closed, (*colour, 255), 1, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def draw_dots(rgba: Rgba, raster: ScreenRaster, points: Array, colour: Colour) -> None:
+    """Draw dots at points, (n, 2), pixels of the image."""
+    height, width = rgba.shape[:2]
+    columns, rows = np.round(raster.place(points)).astype(int).T
+    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    dots = np.zeros((height, width), np.uint8)
+    dots[rows[seen], columns[seen]] = 1
+    rgba[cv2.dilate(dots, np.ones((DOT, DOT), np.uint8)) > 0, :3] = colour
+
+
+def find_nodes_in_sight(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
+    """Find nodes that may be in sight, (n, 2), pixels; of a grid finer than dots on the screen, some in each dot."""
+    if isinstance(mesh, Mesh):
+        return mesh.nodes
+    x0, y0, x1, y1 = raster.box
+    step = max(int(DOT * raster.pitch[0] / mesh.cell_size), 1)
+    x, y = mesh.x[(mesh.x >= x0) & (mesh.x <= x1)], mesh.y[(mesh.y >= y0) & (mesh.y <= y1)]
+    return GridLines(x[::step], y[::step]).nodes
+
+
+def find_cell_centres(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
+    """Find the centre of the cell that holds each pixel of a raster, (n, 2), pixels; nan in it where none does."""
+    if isinstance(mesh, Mesh):
+        overlay = Overlay.find(CellSearch(mesh), raster)
+        return np.column_stack([overlay.interpolate(centres, by_cell=True) for centres in mesh.centroids.T])
+    found = []
+    for lines, places in zip((mesh.x, mesh.y), raster.centres.T, strict=True):
+        # Before the first line and behind the last one it is the last of these.
+        centres = np.append(0.5 * (lines[1:] + lines[:-1]), np.nan)
+        found.append(centres[np.searchsorted(lines, places, side="right") - 1])
+    return np.column_stack(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +117,9 @@ class Overlay:
     located: Located
 
     @classmethod
-    def find(cls, mesh: Mesh, raster: ScreenRaster) -> Overlay:
+    def find(cls, search: CellSearch, raster: ScreenRaster) -> Overlay:
         """Find the cell of each pixel."""
-        return cls(mesh, locate(mesh, raster.centres))
+        return cls(search.mesh, search.locate(raster.centres))
 
     def interpolate(self, values: Array, *, by_cell: bool) -> Array:
         """Interpolate values at nodes, or take those on cells, at the pixels, (n,); nan outside the mesh."""
@@ -86,10 +137,11 @@ class Overlay:
 def draw_field(rgba: Rgba, values: Array, limits: tuple[float, float], palette: str) -> None:
     """Draw values of the pixels, (n,), over the image; where they are nan the image stays."""
     low, high = limits
-    known = np.isfinite(values).reshape(rgba.shape[:2])
-    share = np.clip((values[known.ravel()] - low) / (high - low), 0.0, 1.0)
-    colours = list_colours(palette)[np.round(255.0 * share).astype(int)]
-    rgba[known, :3] = np.round(OPACITY * colours + (1.0 - OPACITY) * rgba[known, :3])
+    places = values.reshape(rgba.shape[:2])
+    share = np.clip((places - low) / (high - low), 0.0, 1.0)
+    colours = np.take(list_colours(palette), np.round(255.0 * np.nan_to_num(share)).astype(np.uint8), axis=0)
+    blended = cv2.addWeighted(colours, OPACITY, rgba[..., :3], 1.0 - OPACITY, 0.0)
+    np.copyto(rgba[..., :3], blended, where=np.isfinite(places)[..., None])
 
 
 def list_colours(palette: str) -> NDArray[np.uint8]:

@@ -24,9 +24,6 @@ HERE = "127.0.0.1"
 NAME = "localhost"
 """Of this machine, and of the near end of a tunnel, which has the same port."""
 
-COMPRESSION = 1
-"""Of what is sent, from 0 to 9: images shrink by half, and take no longer on a fast line."""
-
 MakePage = Callable[[Document], None]
 
 
@@ -71,17 +68,18 @@ class _TokenAuth(AuthProvider):  # type: ignore[misc]  # bokeh's, whose types ar
 def start_server(make_page: MakePage, port: int = 0) -> tuple[Server, str]:
     """Start to serve a page; return the server and the address, with its token, under which it is found.
 
-    Every tab has a document of its own. ``port`` 0 takes one that is free. Raises InputError where it is taken.
+    Every tab has a document of its own. ``port`` 0 takes one that is free. Raises InputError where it cannot be opened.
     """
     token = secrets.token_urlsafe()
     # Figures of curves are empty until there are probes.
     silence(MISSING_RENDERERS)
     try:
-        server = Server({"/": make_page}, port=port, address=HERE, auth_provider=_TokenAuth(token),
-                        websocket_compression_level=COMPRESSION)
+        # Nothing is compressed: speckle shrinks by a quarter, which takes longer than to send it.
+        server = Server({"/": make_page}, port=port, address=HERE, auth_provider=_TokenAuth(token))
     except OSError as error:
-        raise InputError(f"--port {port}: is taken, or not allowed ({error.strerror}); give another one, or leave it "
-                         "out") from error
+        problem = (f"--port {port}: is taken, or not allowed ({error.strerror}); give another one, or leave it out"
+                   if port else f"no port of {HERE} can be opened for the page ({error.strerror}); allow one here")
+        raise InputError(problem) from error
     server.start()
     return server, f"http://localhost:{server.port}/?token={token}"
 
@@ -92,7 +90,7 @@ def _outlive_closed_tabs() -> None:
 
 
 def start_in_thread(make_page: MakePage) -> str:
-    """Serve a page beside what else this process does, until it ends; return its address."""
+    """Serve a page beside what else this process does, until it ends; return its address, or raise InputError."""
     address: Future[str] = Future()
     # It takes the signal when it begins, which the next measurement of this process would do later.
     importlib.import_module("petsc4py.PETSc")
@@ -100,7 +98,12 @@ def start_in_thread(make_page: MakePage) -> str:
 
     def serve() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
-        server, found = start_server(make_page)
+        try:
+            server, found = start_server(make_page)
+        except Exception as error:
+            # To whoever waits for the address.
+            address.set_exception(error)
+            return
         address.set_result(found)
         server.io_loop.start()
 

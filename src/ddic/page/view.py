@@ -33,6 +33,7 @@ from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result
+from ddic.mesh.interpolation import CellSearch
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_text import Point
 from ddic.page.clicks import NOTHING, ClickDrawer
@@ -41,7 +42,7 @@ from ddic.page.frames import (
     FIELDS,
     FieldChoice,
     Frames,
-    describe_point,
+    describe_place,
     find_hatched,
     find_image_size,
     measure_difference,
@@ -101,20 +102,31 @@ class _FieldPane:
         self.subtracted: Frames | None = None
         self._raster: ScreenRaster | None = None
         self._overlay: Overlay | None = None
-        self.limits = (0.0, 1.0)
+        self._search: CellSearch | None = None
+        self._searched: tuple[Result, bool] | None = None
         self.pane = ImagePane(image, [self._draw], side, name)
-        self._colours = LinearColorMapper(palette=["#000000"], low=0.0, high=1.0)
+        self._colours = LinearColorMapper(palette=["#000000"], low=0.0, high=1.0, name="")
         # Numbers padded with blanks: room for those that come later.
         self._bar = ColorBar(color_mapper=self._colours, title="", width=12,
                              formatter=PrintfTickFormatter(format="%-9.3g"))
         self.pane.figure.add_layout(self._bar, "right")
-        self.pane.send_pointer(lambda x, y: page.point_at(self.frames, x, y) if self.frames is not None else None)
+        self.pane.send_pointer(lambda x, y: page.tell_of_pointer(self, (x, y)))
+
+    def _find_search(self, result: Result) -> CellSearch:
+        """The cells where they are seen, sorted; they stay so over frames of one mesh."""
+        asked = result, self._page.is_moved
+        if self._search is None or self._searched != asked:
+            mesh = move_mesh(result) if self._page.is_moved else result.mesh
+            if self._search is None or not _is_same(self._search.mesh, mesh):
+                self._search, self._overlay = CellSearch(mesh), None
+            self._searched = asked
+        return self._search
 
     def _find_overlay(self, result: Result, raster: ScreenRaster) -> Overlay:
-        """Where the screen's pixels lie in a mesh; the search is kept as long as neither changes."""
-        mesh = move_mesh(result) if self._page.is_moved else result.mesh
-        if self._overlay is None or self._raster is not raster or not _is_same(self._overlay.mesh, mesh):
-            self._raster, self._overlay = raster, Overlay.find(mesh, raster)
+        """Where the screen's pixels lie in a mesh; kept as long as neither changes."""
+        search = self._find_search(result)
+        if self._overlay is None or self._raster is not raster:
+            self._raster, self._overlay = raster, Overlay.find(search, raster)
         return self._overlay
 
     def _draw(self, rgba: Rgba, raster: ScreenRaster) -> None:
@@ -129,15 +141,25 @@ class _FieldPane:
             self._bar.title = f"{page.field.name}: not in this result"
             return
         overlay = self._find_overlay(result, raster)
-        self.limits = page.scale.find_limits(values.values)
-        draw_field(rgba, overlay.interpolate(values.values, by_cell=values.by_cell), self.limits, page.palette)
+        limits = page.scale.find_limits(values.values)
+        draw_field(rgba, overlay.interpolate(values.values, by_cell=values.by_cell), limits, page.palette)
         if page.hatches:
             excluded, doubtful = find_hatched(result)
             draw_hatching(rgba, overlay.find_pixels(excluded), EXCLUDED_COLOUR)
             draw_hatching(rgba, overlay.find_pixels(doubtful), DOUBTFUL_COLOUR)
-        self._colours.update(palette=["#{:02x}{:02x}{:02x}".format(*colour) for colour in list_colours(page.palette)],
-                             low=self.limits[0], high=self.limits[1])
+        if self._colours.name != page.palette:
+            # 256 texts, sent once.
+            palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in list_colours(page.palette)]
+            self._colours.update(palette=palette, name=page.palette)
+        self._colours.update(low=limits[0], high=limits[1])
         self._bar.title = _write_plainly(values.label)
+
+    def describe(self, place: Point) -> str:
+        """Say what the result measured that is seen at a place."""
+        if self.frames is None:
+            return ""
+        result = self.frames[self._page.number]
+        return describe_place(result, self._find_search(result), place, is_moved=self._page.is_moved)
 
     def show(self, frames: Frames | None, subtracted: Frames | None = None) -> None:
         """Have another result shown, or one less another."""
@@ -177,7 +199,9 @@ class _ViewPage:
         first = results[0]
         self._images: dict[Path, ScreenImage] = {}
         self.number = 0
-        self._make_controls(first, probes, document)
+        self._make_controls(first)
+        self._make_readings(probes, document)
+        self._make_exports()
         side = SIDE_OF_TWO if len(results) > 1 else SIDE_OF_ONE
         blank = self._find_background(first)
         self._left = _FieldPane(self, blank, side, "field")
@@ -191,7 +215,7 @@ class _ViewPage:
         self.drawer = ClickDrawer(self._left.pane, FORMS, self._take)
         self._choose_results()
 
-    def _make_controls(self, first: Frames, probes: list[Probe], document: Document) -> None:
+    def _make_controls(self, first: Frames) -> None:
         names = self._names
         self.left = Select(title="Result", options=names, value=names[0], width=260)
         self.right = Select(title="Beside it", options=[NOTHING, *names, DIFFERENCE], width=260,
@@ -206,6 +230,14 @@ class _ViewPage:
         n_frames = max(len(frames) for frames in self._results.values())
         self.slider = Slider(title="Frame", start=1, end=max(n_frames, 2), value=1, step=1, width=430,
                              visible=n_frames > 1)
+        for control in (self.left, self.right):
+            control.on_change("value", lambda attribute, old, new: self._choose_results())
+        for control in (self.choice, self.colours, self.low, self.high, self.low_share, self.high_share):
+            control.on_change("value", lambda attribute, old, new: self._draw())
+        self.shown.on_change("active", lambda attribute, old, new: self._show_images())
+        self.slider.on_change("value", lambda attribute, old, new: self._change_frame(new))
+
+    def _make_readings(self, probes: list[Probe], document: Document) -> None:
         self.told = Div(width=900)
         self.values = Div(width=900, styles={"font-family": "monospace"})
         self.probes = ProbeBox(probes, self._tell_of, self._move_probes)
@@ -215,6 +247,8 @@ class _ViewPage:
         self._steps = ColumnDataSource({"x": [], "y": []})
         self.convergence.line("x", "y", source=self._steps)
         self.convergence.scatter("x", "y", source=self._steps)
+
+    def _make_exports(self) -> None:
         self._file = Div(visible=False)
         self._file.js_on_change("tags", CustomJS(args={"file": self._file}, code=DOWNLOAD))
         self.exports = [Button(label=ending.upper(), width=60) for ending in FORMATS]
@@ -222,12 +256,6 @@ class _ViewPage:
             button.on_click(partial(self._export_figure, ending))
         self.table = Button(label="CSV of the probes", width=140)
         self.table.on_click(self._export_table)
-        for control in (self.left, self.right):
-            control.on_change("value", lambda attribute, old, new: self._choose_results())
-        for control in (self.choice, self.colours, self.low, self.high, self.low_share, self.high_share):
-            control.on_change("value", lambda attribute, old, new: self._draw())
-        self.shown.on_change("active", lambda attribute, old, new: self._show_images())
-        self.slider.on_change("value", lambda attribute, old, new: self._change_frame(new))
 
     @property
     def layout(self) -> LayoutDOM:
@@ -328,15 +356,10 @@ class _ViewPage:
         corrections = frames[self.number].gauss_newton.get("rms_correction_px", np.zeros(0))
         self._steps.data = {"x": np.arange(1, len(corrections) + 1), "y": corrections}
 
-    def point_at(self, frames: Frames, x: float, y: float) -> None:
-        """Say what a result measured under the pointer, and which one where there are several."""
-        result = frames[self.number]
-        try:
-            (place,) = move_back(result, [(x, y)]) if self.is_moved else [(x, y)]
-            said = describe_point(result, *place)
-        except InputError as error:
-            said = str(error)
-        self.values.text = escape(f"{frames.path.name}: {said}" if len(self._panes) > 1 else said)
+    def tell_of_pointer(self, shown: _FieldPane, place: Point) -> None:
+        """Say what was measured under the pointer, and of which result where there are several."""
+        name = f"{shown.frames.path.name}: " if shown.frames is not None and len(self._panes) > 1 else ""
+        self.values.text = escape(f"{name}{shown.describe(place)}")
 
     @property
     def _result(self) -> Result:

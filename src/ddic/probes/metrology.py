@@ -124,7 +124,9 @@ def find_chain(result: Result, cells: IntArray) -> DisplacementChain:
     section = schema.get_case(result.attributes).get("regularization") or {}
     # A weight given as eta says nothing of wavelengths.
     unknown = math.nan if section else 0.0
-    return DisplacementChain(_find_spacing(result, cells), float(case.get("half_amplitude_shear_px", unknown)),
+    # Cells that are alike but for rounding have one chain, whose noise is estimated once.
+    spacing = float(f"{_find_spacing(result, cells):.12g}")
+    return DisplacementChain(spacing, float(case.get("half_amplitude_shear_px", unknown)),
                              float(case.get("half_amplitude_longitudinal_px", unknown)),
                              ORDERS[str(section.get("operator", "equilibrium_gap"))])
 
@@ -266,6 +268,9 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
     samples = list_samples(probe)
     cells = locate(result.mesh, samples).cells
     chain = find_chain(result, cells[cells >= 0])
+    if isinstance(probe, PointProbe):
+        # It is alike everywhere.
+        probe = PointProbe("", (0.0, 0.0))
     level = _find_level(result, samples, schema.SIGMA_DISPLACEMENT) if noise is None else noise
     if math.isnan(level) and noise is None:
         level = float(result.attributes.get(schema.CASE, {}).get(schema.NOISE_FLOOR, math.nan))
