@@ -3,8 +3,6 @@
 OpenCV's SIFT finds them; affine maps through a few neighbours tell which of them err, in each piece of a region.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
