@@ -143,7 +143,7 @@ def _count_large_pieces(team: Team, subdomains: Sequence[Subdomain], are_chosen:
                for subdomain, pieces, chosen, n in zip(subdomains, piece_of_node, are_chosen, n_pieces, strict=True)]
     of_ranks = team.gather_lists([(pairs, np.concatenate(n_cells))])
     all_pairs, sizes = (np.concatenate(parts) for parts in zip(*of_ranks, strict=True))
-    joined = np.bincount(join_pairs(*all_pairs.T, len(sizes)), weights=sizes)
+    joined = np.bincount(join_pairs(all_pairs[:, 0], all_pairs[:, 1], len(sizes)), weights=sizes)
     n_all = team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
     return int((joined >= LARGE * n_all).sum())
 
