@@ -63,7 +63,7 @@ class Match:
     mapping : CameraMapping
         Similarity from far to near px.
     coefficient : float
-        Correlation coefficient of the tile, -1 where nothing could be compared.
+        Correlation coefficient of the tile.
     centre, side : (float, float) and float
         Of the tile, near px.
     """
@@ -88,8 +88,6 @@ class TileSearch:
     ----------
     far : (height, width) array
         The far image, its mean taken off.
-    power : (height - side + 1, width - side + 1) array
-        Sum of squares about the mean of its windows of the tiles' size.
     reduced : (rows, columns) array
         The near image at about one px per far px.
     scale : (float, float)
@@ -111,7 +109,6 @@ class TileSearch:
         self.side = max(min(TILE, most, max(_SMALL_TILE, min(size) // 2)), 1)
         self.far = cv2.GaussianBlur(far, (0, 0), _BLUR)
         self.far -= self.far.mean()
-        self.power = sum_window_squares(self.far, self.side)
 
     def find_matches(self, *, fixed: bool = False) -> Iterator[Match]:
         """Find the best match of each tile, most texture first; where ``fixed``, upright and with the given ratio."""
@@ -171,7 +168,7 @@ class TileSearch:
         matrix = ratio * build_rotation(np.deg2rad(degrees))
         half = (self.side - 1) / 2
         template = self._turned_tile(centre, matrix)
-        coefficients = correlate_template(self.far, self.power, template)
+        coefficients = cv2.matchTemplate(self.far, template, cv2.TM_CCOEFF_NORMED)
         row, column = np.unravel_index(int(np.argmax(coefficients)), coefficients.shape)
         # The tile's centre, in near px and where it was found in the far image.
         x, y = ((place + 0.5) * scale - 0.5 for place, scale in zip(centre, self.scale, strict=True))
@@ -187,37 +184,6 @@ class TileSearch:
         tile = cv2.warpAffine(self.reduced, np.column_stack([turned, start]), (self.side, self.side),
                               flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REFLECT_101)
         return np.asarray(tile)
-
-
-def correlate_template(image: Grey, power: Array, template: Grey) -> Array:
-    """Correlate a template (rows, columns) with each window of an image of its size (zero-mean, normalised).
-
-    ``power``, (height - rows + 1, width - columns + 1), is of the image's windows, from ``sum_window_squares``. Of that
-    shape are the coefficients; -1 where a window or the template is blank.
-    """
-    centred = template - np.float32(template.mean())
-    covariance = cv2.matchTemplate(image, centred, cv2.TM_CCORR).astype(np.float64)
-    own_power = float(np.var(template, dtype=np.float64)) * template.size
-    # What is left of blank ones is rounding of float32.
-    blank = own_power <= 1e-10 * float(np.square(template, dtype=np.float64).sum())
-    good = (power > 1e-6 * float(power.max())) & (not blank)
-    norm = np.sqrt(np.where(good, power * own_power, 1.0))
-    return np.where(good, covariance / norm, -1.0)
-
-
-def sum_window_squares(image: Grey, side: int) -> Array:
-    """Sum the squares about the mean of each square window of an image: (height - side + 1, width - side + 1)."""
-    sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    total = _sum_windows(sums, side)
-    square = _sum_windows(squares, side)
-    return np.asarray(square - total**2 / side**2)
-
-
-def _sum_windows(integral: Array, side: int) -> Array:
-    """Sums over windows from sums over all that is left of and above each place."""
-    top_left, top_right = integral[:-side, :-side], integral[:-side, side:]
-    bottom_left, bottom_right = integral[side:, :-side], integral[side:, side:]
-    return np.asarray(bottom_right - top_right - bottom_left + top_left)
 
 
 def _places_along(size: int, margin: float) -> Array:
@@ -427,7 +393,7 @@ def _check_sizes(far: ImageSource, near: ImageSource, ratio: float) -> None:
 
 def _check_inside(found: Registration, far: ImageSource, near: ImageSource) -> None:
     """Refuse a near image that the far one does not show whole."""
-    corners = _places(near.width, near.height)[:4]
+    corners = near.extent.corners
     seen = found.mapping.to_specimen(corners)
     beyond = (far.width - 0.5, far.height - 0.5)
     outside = (seen < -0.5).any(axis=1) | (seen > beyond).any(axis=1)
@@ -457,16 +423,11 @@ def _explain_failure(pair: _Pair, far: ImageSource, near: ImageSource, ratio: fl
             "image, or the two files are swapped: check them")
 
 
-def _places(width: int, height: int) -> Array:
-    """Corners and centre of an image, px."""
-    right, bottom = width - 1.0, height - 1.0
-    return np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom], [right / 2, bottom / 2]])
-
-
 def _describe(found: Registration, far_size: tuple[int, int], near_size: tuple[int, int]) -> Calibration:
     """All that is told of a calibration."""
     model, mapping = found.model, found.mapping
-    places = _places(*near_size)
+    near_image = Window.of_size(*near_size)
+    places = np.concatenate([near_image.corners, _middle(near_image)])
     places_far = mapping.to_specimen(places)
     by_parameters = model.differentiate(found.parameters, places_far)
     places_std = np.sqrt(np.einsum("nip,pq,niq->ni", by_parameters, found.covariance, by_parameters))

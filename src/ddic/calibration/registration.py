@@ -278,7 +278,7 @@ def register(far: GradientImage, near: NearImage, model: CameraModel, start: Arr
     ``tolerance``, near px. Raises ConvergenceError where the mapping runs away or does not settle.
     """
     parameters = start
-    corners = _corners(part)
+    corners = part.corners
     try:
         for iteration in range(1, _MAX_ITERATIONS + 1):
             if iteration <= _CHANGING_ITERATIONS:
@@ -374,15 +374,9 @@ def _linearise(far: GradientImage, near: NearImage, model: CameraModel, paramete
     )
 
 
-def _corners(part: Window) -> Array:
-    """Centres of a window's corner pixels, (4, 2)."""
-    left, top, right, bottom = part.x0, part.y0, part.x1 - 1, part.y1 - 1
-    return np.array([[left, top], [right, top], [left, bottom], [right, bottom]], dtype=np.float64)
-
-
 def _find_visible(far: Window, mapping: CameraMapping, part: Window) -> _Patch:
     """Far pixels whose squares lie in a part of the near image; raises ValueError where they are too few."""
-    around = mapping.to_specimen(_corners(part))
+    around = mapping.to_specimen(part.corners)
     low = np.floor(around.min(axis=0)).astype(int) - 1
     high = np.ceil(around.max(axis=0)).astype(int) + 2
     box = Window.between(low, high).intersection(far)

@@ -1,7 +1,5 @@
 """``ddic mesh``: write the mesh of a case."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """``ddic draw`` and ``ddic view``: pages in the browser, of the extra ddic[page]."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -374,9 +374,8 @@ class Correlation:
         """
         return self.interpolation.assemble_vector(self._correct_moments(residual, gain, offset))
 
-    def compute_cell_forces(self, cells: IntArray, residual: Residual,
-                            gain: Array | float = 1.0,
-                            offset: Array | float = 0.0) -> Array:
+    def compute_cell_forces(self, cells: IntArray, residual: Residual, gain: Array | float,
+                            offset: Array | float) -> Array:
         """Sum N^T grad f (f - gain g(x + u) - offset) over the pixels of some cells, given by number.
 
         b_e is (n, 8), node-major, grey levels squared per pixel. The residual has all kinds of moments where gain is
@@ -390,8 +389,7 @@ class Correlation:
             residual = replace(residual, moments=map_moments(self.inverse_deformations, residual.moments))
         return residual.correct_moments(gain, offset)
 
-    def compute_residual_image(self, deformed: DeformedSubImage, q: Array,
-                               gain: Array | float = 1.0,
+    def compute_residual_image(self, deformed: DeformedSubImage, q: Array, gain: Array | float = 1.0,
                                offset: Array | float = 0.0) -> NDArray[np.float32]:
         """Compute f - gain g(x + u) - offset on the reference window, grey levels; NaN on pixels that do not count."""
         whole = RowBand(self.order, self.reference.window)
@@ -413,8 +411,7 @@ class Correlation:
                 for of_band in members]
 
     def compute_residual_bands(self, deformed: DeformedSubImage, q: Array, bands: Iterable[RowBand],
-                               gain: Array | float = 1.0,
-                               offset: Array | float = 0.0) -> Iterator[NDArray[np.float32]]:
+                               gain: Array | float, offset: Array | float) -> Iterator[NDArray[np.float32]]:
         """Compute the same as ``compute_residual_image`` band by band, each when it is asked for.
 
         On the windows of the bands, which ``split_bands`` gives; NaN also on pixels that other bands have.

@@ -54,18 +54,19 @@ def _splat(builder: Any, value: Any) -> Any:
     return builder.shuffle_vector(one, undefined, all_from_first)
 
 
+def _write(context: Any, builder: Any, signature: Any, arguments: Any, values: Any) -> Any:
+    """Write a vector to the array and the index that an instruction's arguments begin with."""
+    builder.store(values, _address(context, builder, signature.args[0], *arguments[:2]), align=_ALIGNMENT)
+    return context.get_dummy_value()
+
+
 @intrinsic  # type: ignore[untyped-decorator]
 def copy_vector(typing_context: Any, to: Any, j: Any, source: Any, i: Any) -> Any:
     """Copy source[i : i + WIDTH] to to[j : j + WIDTH]."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        to_type, _, source_type, _ = signature.args
-        to_array, to_index, source_array, source_index = arguments
-        source_address = _address(context, builder, source_type, source_array, source_index)
-        values = _load(builder, source_address)
-        to_address = _address(context, builder, to_type, to_array, to_index)
-        builder.store(values, to_address, align=_ALIGNMENT)
-        return context.get_dummy_value()
+        values = _load(builder, _address(context, builder, signature.args[2], *arguments[2:]))
+        return _write(context, builder, signature, arguments, values)
 
     return types.void(to, j, source, i), generate
 
@@ -75,8 +76,8 @@ def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any)
     """Copy source[i : i + n] to to[j : j + n], and zeros to the rest of a vector: a call, where a loop is unrolled."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        to_type, _, source_type, _, _ = signature.args
-        to_array, to_index, source_array, source_index, count = arguments
+        source_type = signature.args[2]
+        source_array, source_index, count = arguments[2:]
         held = cgutils.alloca_once(builder, _vector_type(source_type))
         builder.store(ir.Constant(held.type.pointee, None), held)
         bytes_ = ir.IntType(8).as_pointer()
@@ -86,9 +87,7 @@ def copy_some(typing_context: Any, to: Any, j: Any, source: Any, i: Any, n: Any)
         copy = builder.module.declare_intrinsic("llvm.memcpy", [bytes_, bytes_, ir.IntType(64)])
         is_volatile = ir.IntType(1)(0)
         builder.call(copy, [held_bytes, source_bytes, size, is_volatile])
-        to_address = _address(context, builder, to_type, to_array, to_index)
-        builder.store(_load(builder, held), to_address, align=_ALIGNMENT)
-        return context.get_dummy_value()
+        return _write(context, builder, signature, arguments, _load(builder, held))
 
     return types.void(to, j, source, i, types.int64), generate
 
@@ -98,10 +97,7 @@ def fill_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
     """Set to[j : j + WIDTH] to one value."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        to_array, to_index, one = arguments
-        values = _splat(builder, one)
-        builder.store(values, _address(context, builder, signature.args[0], to_array, to_index), align=_ALIGNMENT)
-        return context.get_dummy_value()
+        return _write(context, builder, signature, arguments, _splat(builder, arguments[2]))
 
     return types.void(to, j, types.float32), generate
 
@@ -111,10 +107,8 @@ def count_vector(typing_context: Any, to: Any, j: Any, value: Any) -> Any:
     """Set to[j : j + WIDTH] to value, value + 1, and so on."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        to_array, to_index, first = arguments
-        values = builder.fadd(_splat(builder, first), _STEPS)
-        builder.store(values, _address(context, builder, signature.args[0], to_array, to_index), align=_ALIGNMENT)
-        return context.get_dummy_value()
+        values = builder.fadd(_splat(builder, arguments[2]), _STEPS)
+        return _write(context, builder, signature, arguments, values)
 
     return types.void(to, j, types.float32), generate
 

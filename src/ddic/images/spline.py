@@ -104,9 +104,8 @@ def compute_coefficients(values: Array, degree: int) -> Array:
     return coefficients
 
 
-def read_spline(source: ImageSource, window: Window, degree: int,
-                find_usable: FindUsable | None = None, threads: Threads = ONE_THREAD, *,
-                excludes_taps: bool = True) -> SplineImage:
+def read_spline(source: ImageSource, window: Window, degree: int, find_usable: FindUsable | None = None,
+                threads: Threads = ONE_THREAD, *, excludes_taps: bool = True) -> SplineImage:
     """Read a window inside the image and prefilter it; its coefficients equal the whole image's to 1e-16.
 
     ``find_usable`` gives the pixels of a window that count, as ``MaskedSource.find_usable``; all do where it is left
@@ -135,9 +134,8 @@ def read_spline(source: ImageSource, window: Window, degree: int,
     return SplineImage(window, degree, out, held.restrict_usable(usable, window))
 
 
-def read_gradient(source: ImageSource, window: Window, degree: int,
-                  find_usable: FindUsable | None = None, threads: Threads = ONE_THREAD, *,
-                  excludes_taps: bool = True) -> GradientImage:
+def read_gradient(source: ImageSource, window: Window, degree: int, find_usable: FindUsable | None = None,
+                  threads: Threads = ONE_THREAD, *, excludes_taps: bool = True) -> GradientImage:
     """Read a window inside the image with its spline gradient at pixel centres.
 
     A slope along x needs coefficients along x alone: the values of the spline at pixel centres of a column undo the

@@ -11,6 +11,8 @@ from operator import ge, le, sub
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ddic.arrays import Array
+
 
 @dataclass(frozen=True, slots=True)
 class Window:
@@ -77,6 +79,12 @@ class Window:
     def height(self) -> int:
         """Number of rows."""
         return self.y1 - self.y0
+
+    @property
+    def corners(self) -> Array:
+        """Centres of the four corner pixels of a plane box, (4, 2)."""
+        left, top, right, bottom = self.x0, self.y0, self.x1 - 1, self.y1 - 1
+        return np.array([[left, top], [right, top], [left, bottom], [right, bottom]], dtype=np.float64)
 
     @property
     def n_pixels(self) -> int:

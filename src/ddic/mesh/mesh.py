@@ -201,10 +201,8 @@ class Mesh:
                        types=self.types[cells], parts=parts)
 
 
-def build_mesh(nodes: Array,
-                    blocks: Mapping[CellType, IntArray] | Iterable[tuple[CellType, IntArray]],
-                    node_sets: Mapping[str, IntArray] | None = None,
-                    mapping: Similarity | None = None) -> Mesh:
+def build_mesh(nodes: Array, blocks: Mapping[CellType, IntArray] | Iterable[tuple[CellType, IntArray]],
+               node_sets: Mapping[str, IntArray] | None = None, mapping: Similarity | None = None) -> Mesh:
     """Build a mesh from arrays of cells by type, (n, type.n_nodes), whose order its cells have.
 
     Nodes are (n_nodes, dim), pixels; node sets are sorted node numbers by name. Where no mapping is given, mesh units

@@ -78,17 +78,13 @@ class _OutputCells:
     errors: CellErrors
     notes: tuple[str, ...]
 
-    def build_mesh(self) -> Mesh:
-        """Mesh them: Q4 cells, row by row."""
-        return self.grid.build_mesh()
-
     def weigh(self, residual: float) -> Evidence:
         """Say what speaks for or against a field that leaves a residual, its deviation over the dynamic range."""
         unseen = self.n_pixels == 0
         n_unseen = int(unseen.sum())
         marked = []
         if n_unseen:
-            marked.append(MarkedCells(UNSEEN, n_unseen, describe_places(*bound_cells(self.build_mesh(), unseen))))
+            marked.append(MarkedCells(UNSEEN, n_unseen, describe_places(*bound_cells(self.grid.build_mesh(), unseen))))
         return Evidence(len(unseen), int(self.errors.doubtful.sum()), marked, residual=residual)
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
@@ -136,7 +132,7 @@ def _sum_band(along_x: LineElements, along_y: LineElements, reference: Reference
 def _write_output_cells(writer: ResultWriter, cells: _OutputCells, field: SeparatedField,
                         images: ImagesSection) -> None:
     """Write cells with the displacement at their nodes, which are nodes of the elements too; on rank 0."""
-    mesh = cells.build_mesh()
+    mesh = cells.grid.build_mesh()
     displacement = cells.evaluate_displacement(field)
     length_unit = None if images.pixel_size is None else images.length_unit
     point_data: dict[str, NDArray[Any]] = {
@@ -266,7 +262,7 @@ class SeparatedMeasurement:
             stop=solution.stop,
             n_modes=solution.field.n_modes,
             method=schema.PGD,
-            ranges=find_field_ranges(self.team, [(cells.build_mesh(), u.ravel())]),
+            ranges=find_field_ranges(self.team, [(cells.grid.build_mesh(), u.ravel())]),
             iteration_table=_list_corrections(solution.records),
         )
 

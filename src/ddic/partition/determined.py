@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.kinematics.enriched import EnrichedRegion
 from ddic.mesh.cut_mesh import CutMesh
 from ddic.mesh.mesh import Mesh
-from ddic.partition.split import renumber
+from ddic.partition.split import join_pairs, renumber
 from ddic.partition.ties import Tying
 
 LEAST = 0.1
@@ -130,8 +129,7 @@ def keep_sides_determined(sides: CutSides, cameras: IntArray, parts: IntArray) -
     pairs += [(cell, host) for cell in _list_cells_with_needs(needs)
              for host in _choose_hosts(needs[[cell]], sees_enough, cell, cameras == cameras[cell])]
     one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    joined = sparse.csr_matrix((np.ones(len(one)), (one, other)), (len(parts), len(parts)))
-    _, clusters = connected_components(joined, directed=False)
+    clusters = join_pairs(one, other, len(parts))
     n_subdomains = int(parts.max()) + 1
     votes = np.bincount(clusters * n_subdomains + parts, minlength=(clusters.max() + 1) * n_subdomains)
     return renumber(votes.reshape(-1, n_subdomains).argmax(axis=1)[clusters])

@@ -158,6 +158,12 @@ def find_connected_pieces(adjacency: Adjacency) -> IntArray:
     return np.asarray(pieces, dtype=np.int64)
 
 
+def join_pairs(one: IntArray, other: IntArray, n: int) -> IntArray:
+    """Join n things by pairs of them: the group of each, (n,), from 0 in the order of their first members."""
+    graph = sparse.coo_matrix((np.ones(len(one)), (one, other)), (n, n))
+    return np.asarray(csgraph.connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
 def merge_blank(pieces: IntArray, owner: IntArray, adjacency: Adjacency, blank: BoolArray) -> IntArray:
     """Join every connected group of blank pieces with the textured one that shares most facets with it.
 

@@ -8,6 +8,7 @@ from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.kinematics.kinematics import Kinematics
+from ddic.mesh.cell_parts import list_ranges
 from ddic.mesh.mesh import Mesh
 
 Weighting = Literal["consistent", "paper"]
@@ -252,18 +253,9 @@ def _build_matrix(interface: Interface, row_index: IntArray, entries: Entries) -
 
 def rows_of(interface: Interface) -> IntArray:
     """List the rows of all chains that a subdomain is part of, by number, chain after chain."""
-    return _count_from(interface.first_row, interface.multiplicity - 1)
+    return list_ranges(interface.first_row, interface.multiplicity - 1)
 
 
 def copies_of(interface: Interface) -> IntArray:
     """List the copies of all chains that a subdomain is part of, by number, chain after chain."""
-    return _count_from(interface.first_copy, interface.multiplicity)
-
-
-def _count_from(first: IntArray, counts: IntArray) -> IntArray:
-    """Counts of numbers from each first one on, one sequence after the other."""
-    ends = np.cumsum(counts)
-    starts = ends - counts
-    # Counting on through all sequences gives each number plus the place where its sequence starts.
-    counted_on = np.arange(counts.sum())
-    return np.asarray(counted_on + np.repeat(first - starts, counts))
+    return list_ranges(interface.first_copy, interface.multiplicity)

@@ -1,7 +1,5 @@
 """One picture of a result by its kind: what ``ddic plot``, ``Result.plot`` and the page draw."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Lines that do not open: where the sides of a discontinuity stay together as far as noise tells, the user is told."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

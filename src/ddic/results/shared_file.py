@@ -31,7 +31,9 @@ def write_blocks(team: Team, writer: ResultWriter | None, batches: Iterator[list
             return
         with _opened(begun, path) as descriptor:
             for batch in batches:
-                _write(descriptor, batch, path)
+                with _named(path):
+                    for block in batch:
+                        write_block(descriptor, block)
 
     def take(batch: list[Block]) -> None:
         for block in batch:
@@ -67,12 +69,6 @@ def _opened(begun: Path, path: Path) -> Iterator[int]:
     finally:
         with _named(path):
             os.close(descriptor)
-
-
-def _write(descriptor: int, batch: list[Block], path: Path) -> None:
-    with _named(path):
-        for block in batch:
-            write_block(descriptor, block)
 
 
 @contextmanager

@@ -81,11 +81,6 @@ class Trial:
     virtual_error: float = np.nan
     failure: str = ""
 
-    @property
-    def short_failure(self) -> str:
-        """The first clause of why there is no measurement."""
-        return re.split(r" \(|[;:\n]", self.failure, maxsplit=1)[0]
-
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -279,9 +274,12 @@ def format_rows(sweep: Sweep) -> list[tuple[str, ...]]:
     return rows
 
 
+CLAUSE_END = r" \(|[;:\n]"
+
+
 def list_failures(sweep: Sweep) -> list[str]:
-    """List why some candidates have no error, a line for each of them."""
-    return [f"not measured: {trial.candidate.describe()}: {trial.short_failure}"
+    """List why some candidates have no error, a line for each of them: the first clause of its failure."""
+    return [f"not measured: {trial.candidate.describe()}: {re.split(CLAUSE_END, trial.failure, maxsplit=1)[0]}"
             for trial in _sort(sweep) if trial.failure]
 
 

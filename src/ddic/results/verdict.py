@@ -9,13 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ddic.arrays import BoolArray, IntArray
 from ddic.io.result_schema import DISTRUST, LOOK, TRUST, Verdict
 from ddic.parallel.team import Team
 from ddic.partition.sharing import find_largest, share_among_copies
+from ddic.partition.split import join_pairs
 from ddic.partition.subdomain import Subdomain
 from ddic.visibility.cell_errors import MarkedCells
 from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions, find_excluded
@@ -144,8 +143,7 @@ def _count_large_pieces(team: Team, subdomains: Sequence[Subdomain], are_chosen:
                for subdomain, pieces, chosen, n in zip(subdomains, piece_of_node, are_chosen, n_pieces, strict=True)]
     of_ranks = team.gather_lists([(pairs, np.concatenate(n_cells))])
     all_pairs, sizes = (np.concatenate(parts) for parts in zip(*of_ranks, strict=True))
-    graph = coo_matrix((np.ones(len(all_pairs)), all_pairs.T), (len(sizes), len(sizes)))
-    joined = np.bincount(connected_components(graph, directed=False)[1], weights=sizes)
+    joined = np.bincount(join_pairs(all_pairs[:, 0], all_pairs[:, 1], len(sizes)), weights=sizes)
     n_all = team.sum(sum(subdomain.mesh.n_cells for subdomain in subdomains))
     return int((joined >= LARGE * n_all).sum())
 
@@ -157,9 +155,7 @@ def _label_nodes(subdomain: Subdomain, chosen: BoolArray) -> IntArray:
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), corner_counts)
     counts = chosen[cell_of_corner]
     cells, nodes = cell_of_corner[counts], mesh.connectivity[counts]
-    n_all = mesh.n_nodes + mesh.n_cells
-    graph = coo_matrix((np.ones(len(nodes)), (nodes, mesh.n_nodes + cells)), (n_all, n_all))
-    labels = connected_components(graph, directed=False)[1][:mesh.n_nodes]
+    labels = join_pairs(nodes, mesh.n_nodes + cells, mesh.n_nodes + mesh.n_cells)[:mesh.n_nodes]
     pieces = np.full(mesh.n_nodes, -1)
     used = np.unique(nodes)
     pieces[used] = np.unique(labels[used], return_inverse=True)[1]

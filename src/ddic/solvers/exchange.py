@@ -14,7 +14,7 @@ from ddic.arrays import Array, IntArray
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Interface, Subdomain, copies_of
-from ddic.solvers.petsc import PetscStack, check_petsc_size, to_petsc_integers
+from ddic.solvers.petsc import PetscOwner, PetscStack, check_petsc_size, to_petsc_integers
 
 
 class _Multiplying(Protocol):
@@ -24,7 +24,7 @@ class _Multiplying(Protocol):
         """Multiply y = A x: PETSc's callback."""
 
 
-class Exchange:
+class Exchange(PetscOwner):
     """Numbers (interface rows, copies, unknowns) owned in contiguous ranges by ranks, with ghosts of neighbours.
 
     Only ranks that share a number exchange its value (PETSc's scatter).
@@ -61,10 +61,6 @@ class Exchange:
             target = indices.keep(PETSc.IS().createStride(n_ghosts, first=0, step=1, comm=PETSc.COMM_SELF))
             self._scatter = stack.keep(PETSc.Scatter().create(self._owned, source, self._ghost, target))
             self._objects = stack.pop_all()
-
-    def destroy(self) -> None:
-        """Free PETSc's objects."""
-        self._objects.close()
 
     def create_vector(self) -> PETSc.Vec:
         """Create a zero vector of owned numbers over all ranks, the caller's to destroy."""

@@ -19,7 +19,7 @@ from ddic.functionals.scale_rows import scale_rows, sum_column_squares
 from ddic.parallel.field import Field
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import AllowedError, StepResult
-from ddic.solvers.petsc import LOCAL, PetscStack, create_ksp, to_petsc_integers
+from ddic.solvers.petsc import LOCAL, PetscOwner, PetscStack, create_ksp, to_petsc_integers
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ _BLOCK_BYTES = 2**24
 """Most memory of such a block, bytes."""
 
 
-class LocalOperator:
+class LocalOperator(PetscOwner):
     """Sparse Cholesky of one symmetric positive definite matrix through PETSc; free of communication.
 
     Making it raises SingularSubdomainError where the matrix is not positive definite, or singular to the extent of
@@ -257,10 +257,6 @@ class LocalOperator:
                 x.assemble()
                 self._factor.matSolve(b, x)
         return solution
-
-    def destroy(self) -> None:
-        """Free the factor."""
-        self._objects.close()
 
 
 class MonolithicStep:

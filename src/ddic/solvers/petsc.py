@@ -302,17 +302,27 @@ T = TypeVar("T", bound=_Destroyable)
 
 
 class PetscStack(ExitStack):
-    """Destroys what it keeps, last made first, when its ``with`` block ends.
-
-    A constructor makes its objects inside a ``with`` block, so that an error on the way frees those already made, and
-    ends with ``self._objects = stack.pop_all()``, which hands them to ``self._objects.close()``. Python's collector is
-    not enough: it runs at different times on the ranks, so that petsc4py leaves parallel objects to a later clean-up.
-    """
+    """Destroys what it keeps, last made first, when its ``with`` block ends."""
 
     def keep(self, thing: T) -> T:
         """Keep a thing, destroyed with the stack, and return it."""
         self.callback(thing.destroy)
         return thing
+
+
+class PetscOwner:
+    """Owns objects of PETSc's.
+
+    Its constructor makes them inside a ``with PetscStack()``, so that an error on the way frees those already made, and
+    ends with ``self._objects = stack.pop_all()``. Python's collector is not enough: it runs at different times on the
+    ranks, so that petsc4py leaves parallel objects to a later clean-up.
+    """
+
+    _objects: PetscStack
+
+    def destroy(self, _: object = None) -> None:
+        """Free them, before the interpreter ends; PETSc calls it too, when the shell goes whose context this is."""
+        self._objects.close()
 
 
 ASKED_AT_THE_END = ("options_left", "options_view")

@@ -19,10 +19,10 @@ from ddic.solvers.correction_size import measure_unit_size
 from ddic.solvers.exchange import Exchange, ParallelEntries
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_system import LocalSystem, bound_lowest_eigenvalue, describe_singular
-from ddic.solvers.petsc import ASSEMBLED, CONJUGATE_GRADIENT, PetscStack, create_ksp
+from ddic.solvers.petsc import ASSEMBLED, CONJUGATE_GRADIENT, PetscOwner, PetscStack, create_ksp
 
 
-class WholeSystem:
+class WholeSystem(PetscOwner):
     """A = sum_s R_s^T M_s R_s + eta Kbar^T Kbar with Kbar = sum_s R_s^T Kbar_s R_s.
 
     R_s takes a subdomain's unknowns (of the field, and of its camera's motion) from those of the whole problem, which
@@ -129,10 +129,6 @@ class WholeSystem:
         place = f"the region around column {x:.0f}, row {y:.0f}"
         return as_collective(SingularSubdomainError(describe_singular(place)))
 
-    def destroy(self, _: PETSc.Mat | None = None) -> None:
-        """Free PETSc's objects; PETSc calls it too, when the shell matrix goes whose context this is."""
-        self._objects.close()
-
     def _find_gap(self, x: Field) -> Field:
         """Kbar x, rows of interfaces complete."""
         if all(system.stiffness is None for system in self.systems):
@@ -219,7 +215,7 @@ ZERO_PIVOT = -10
 """MUMPS's INFOG(1) for a matrix that is numerically singular."""
 
 
-class AssembledStep:
+class AssembledStep(PetscOwner):
     """Solves Eq. 11 of [BP17] for all subdomains at once, by a factor of A.
 
     PETSc options (prefix ``assembled_``): Cholesky by MUMPS. Making it raises SingularSubdomainError or
@@ -252,10 +248,6 @@ class AssembledStep:
 
     def forget(self) -> None:
         """Do nothing: no step teaches another."""
-
-    def destroy(self) -> None:
-        """Free PETSc's objects; must be called before the interpreter ends."""
-        self._objects.close()
 
     def _factorize(self, seed: int, smallest_eigenvalue: float) -> None:
         """Factorise A and refuse it where it is singular."""
@@ -313,7 +305,7 @@ OF_ALLOWED = 0.1
 share iterates less and leaves more error."""
 
 
-class ConjugateGradientStep:
+class ConjugateGradientStep(PetscOwner):
     """Solves Eq. 11 of [BP17] for all subdomains at once, preconditioned by the diagonal D of A.
 
     Nothing is factorised: two products with Kbar_s and one with M_s an iteration, whose number grows with the cut-off
@@ -355,7 +347,10 @@ class ConjugateGradientStep:
         q_mean = self._whole.average_copies(q)
         self._whole.set_right_hand_side(self._right, q, b, q_mean)
         size = self._preconditioned_norm(self._right)
-        begun = self._preconditioned_norm(self._residual_of_last())
+        # What the last solution leaves of it.
+        self._matrix.mult(self._left, self._residual)
+        self._residual.aypx(-1.0, self._right)
+        begun = self._preconditioned_norm(self._residual)
         if not begun < size:
             self._left.set(0.0)
             begun = size
@@ -380,10 +375,6 @@ class ConjugateGradientStep:
         # Of D^-1 A, from all iterations so far.
         self._largest, self._lowest = 1.0, 1.0
 
-    def destroy(self) -> None:
-        """Free PETSc's objects; must be called before the interpreter ends."""
-        self._objects.close()
-
     def _configure(self, max_iterations: int) -> None:
         """Set up the Krylov solver."""
         self._ksp.setOperators(self._matrix)
@@ -394,12 +385,6 @@ class ConjugateGradientStep:
         self._ksp.setFromOptions()
         self._whole.check_diagonal(self._matrix)
         self._ksp.setUp()
-
-    def _residual_of_last(self) -> PETSc.Vec:
-        """Residual that the last solution leaves of the present right-hand side."""
-        self._matrix.mult(self._left, self._residual)
-        self._residual.aypx(-1.0, self._right)
-        return self._residual
 
     def _preconditioned_norm(self, vector: PETSc.Vec) -> float:
         """|D^-1 vector|."""

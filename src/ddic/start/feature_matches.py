@@ -3,14 +3,11 @@
 OpenCV's SIFT finds them; affine maps through a few neighbours tell which of them err, in each piece of a region.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.images.sub_image import MaskedSource
@@ -19,6 +16,7 @@ from ddic.mesh.cut_mesh import find_points_on_own_side
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
+from ddic.partition.split import join_pairs
 from ddic.start.binned_pair import BinnedPair
 
 N_FEATURES = 3000
@@ -187,10 +185,8 @@ class MatchedField:
 def find_pieces(mesh: Mesh) -> IntArray:
     """Find each cell's piece of a mesh, perhaps cut by lines, from 0: cells that hang together by nodes are of one."""
     cell_of_corner = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
-    ones = np.ones(len(cell_of_corner))
-    has_node = sparse.csr_matrix((ones, (cell_of_corner, mesh.connectivity)), (mesh.n_cells, mesh.n_nodes))
-    _, pieces = sparse.csgraph.connected_components(has_node @ has_node.T, directed=False)
-    return np.asarray(pieces, dtype=np.int64)
+    of_all = join_pairs(cell_of_corner, mesh.n_cells + mesh.connectivity, mesh.n_cells + mesh.n_nodes)
+    return of_all[:mesh.n_cells]
 
 
 def find_piece_of_nodes(mesh: Mesh) -> IntArray:

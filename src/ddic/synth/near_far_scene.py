@@ -10,6 +10,7 @@ import numpy as np
 from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
+from ddic.images.window import Window
 from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.mesh.plane import build_rotation
 from ddic.synth.fields import DisplacementField, Hole, Pair, require_finite
@@ -134,7 +135,8 @@ class NearFarScene:
     def __post_init__(self) -> None:
         camera = self.near.camera
         try:
-            corners = camera.mapping.to_specimen(camera.picture.corners)
+            near_image = Window.of_size(camera.picture.width, camera.picture.height)
+            corners = camera.mapping.to_specimen(near_image.corners)
         except ValueError as error:
             raise InputError(f"near camera: {error}; use a smaller tilt") from error
         limits = np.array([self.far_picture.width - 1, self.far_picture.height - 1])

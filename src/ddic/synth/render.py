@@ -149,13 +149,6 @@ class Picture:
         """Position of the picture's centre, pixels."""
         return (self.width - 1) / 2, (self.height - 1) / 2
 
-    @property
-    def corners(self) -> Array:
-        """Centres of the four corner pixels (4, 2), pixels."""
-        right = self.width - 1.0
-        bottom = self.height - 1.0
-        return np.array([[0.0, 0.0], [right, 0.0], [right, bottom], [0.0, bottom]])
-
 
 # Images are made square by square: temporary arrays stay in cache and memory does not grow with the image.
 # The noise is drawn square by square too, so this number is part of what a seed means.

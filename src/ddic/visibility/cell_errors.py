@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Residual
@@ -14,6 +12,7 @@ from ddic.functionals.view import View
 from ddic.mesh.mesh import Mesh, pad_cells, sum_about_nodes
 from ddic.parallel.distribution import find_quantile_of_all
 from ddic.parallel.team import Team
+from ddic.partition.split import join_pairs
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import find_displaced_nodes, find_unseen_unknowns
 from ddic.problem.residual_model import Evaluation
@@ -243,10 +242,9 @@ def describe_places(boxes: Array, corners: IntArray) -> str:
     """
     _, nodes = np.unique(corners, return_inverse=True)
     cells = np.repeat(np.arange(len(boxes)), corners.shape[1])
-    n_all = len(boxes) + int(nodes.max()) + 1
-    graph = coo_matrix((np.ones(len(cells)), (cells, len(boxes) + nodes.ravel())), (n_all, n_all))
     # Of cells and nodes.
-    place = connected_components(graph, directed=False)[1][:len(boxes)]
+    n_all = len(boxes) + int(nodes.max()) + 1
+    place = join_pairs(cells, len(boxes) + nodes.ravel(), n_all)[:len(boxes)]
     n_places = int(place.max()) + 1
     members = np.bincount(place, minlength=n_places)
     named = []

@@ -13,7 +13,7 @@ from ddic.parallel.team import Team
 from ddic.solvers.dual.dual_problem import DualProblem, LocalDual
 from ddic.solvers.exchange import Exchange, ParallelEntries, average_chains, fetch_copies
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.petsc import PetscStack, create_coarse_ksp, to_petsc_integers
+from ddic.solvers.petsc import PetscOwner, PetscStack, create_coarse_ksp, to_petsc_integers
 
 INDEPENDENT = 1e-8
 """Singular value, relative to the largest, below which a subdomain's coarse vectors count as dependent: a larger one
@@ -116,7 +116,7 @@ def _find_basis(columns: Array) -> Array:
     return np.asarray(left[:, values > INDEPENDENT * values[0]])
 
 
-class CoarseSpace:
+class CoarseSpace(PetscOwner):
     """Z and the factorised coarse matrix Z^T S_tot Z, sparse and spread over ranks.
 
     PETSc options (prefix ``coarse_telescope_``): some ranks factorise the coarse matrix by MUMPS (LDL^T, indefinite).
@@ -151,10 +151,6 @@ class CoarseSpace:
         self._z.multTranspose(residual, self._right)
         self._ksp.solve(self._right, self._left)
         self._z.multAdd(self._left, result, result)
-
-    def destroy(self) -> None:
-        """Free PETSc's objects."""
-        self._objects.close()
 
     def _multiply(self, team: Team, exchange: Exchange, parts: Sequence[CoarsePart], n_owned: int) -> ParallelEntries:
         """Z^T S_tot Z as the sum over subdomains of products with the columns that touch their interface."""

@@ -21,7 +21,7 @@ from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, Local
 from ddic.solvers.dual.preconditioner import LocalInverseKind, Preconditioner, Preconditioning, build_preconditioner
 from ddic.solvers.linear_step import AllowedError, StepResult
 from ddic.solvers.local_system import LocalOperator, LocalSystem
-from ddic.solvers.petsc import DUAL, PetscStack, create_ksp
+from ddic.solvers.petsc import DUAL, PetscOwner, PetscStack, create_ksp
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ UNREACHED = 1e-300
 """Residual norm that no iteration reaches, where another test is to stop it, and that is not quite zero."""
 
 
-class _InterfaceSolver:
+class _InterfaceSolver(PetscOwner):
     """GMRES on S_tot, right-preconditioned by P, which remembers earlier right-hand sides.
 
     ``multipliers`` are v, the last solution, from which the next one starts, ``residual`` is t_tot - S_tot v. A
@@ -235,10 +235,6 @@ class _InterfaceSolver:
         self.ksp.getPC().apply(self.residual, out)
         return out
 
-    def destroy(self) -> None:
-        """Free PETSc's objects."""
-        self._objects.close()
-
     def _renew_residual(self, right: PETSc.Vec) -> None:
         """Set the residual to t_tot - S_tot v."""
         self._schur.mult(self.multipliers, self.residual)
@@ -266,7 +262,7 @@ class _InterfaceSolver:
         self.ksp.setFromOptions()
 
 
-class DualStep:
+class DualStep(PetscOwner):
     """Solves for dq_s by S_tot (Lambda, LambdaBar) = t_tot, Eq. 24-25 of [BP17], with several cameras Eq. 23.
 
     Factors are kept, and the interface problem starts from the previous multipliers. Making it raises
@@ -276,12 +272,8 @@ class DualStep:
 
     Parameters
     ----------
-    team, systems : Team, sequence of LocalSystem
-        All ranks, which make it together; this rank's subdomains.
-    operators : sequence of LocalOperator
-        Their A_s factorised, motions of cameras held; they stay their maker's to destroy.
-    scale : float
-        c of ``build_local_dual``.
+    team, systems, operators, scale : Team, sequence of LocalSystem, sequence of LocalOperator, float
+        As ``DualProblem`` takes them.
     settings : DualSettings
         How the interface problem is solved.
     clock : PhaseClock, optional
@@ -328,10 +320,6 @@ class DualStep:
     def forget(self) -> None:
         """Forget the last multipliers and the directions that were kept."""
         self._interface.forget()
-
-    def destroy(self) -> None:
-        """Free PETSc's objects; must be called before the interpreter ends."""
-        self._objects.close()
 
     def _find_stop(self, size: float, allowed: AllowedError | None) -> tuple[float, float | None]:
         """Norm of the residual at which GMRES may stop, of the tolerance or of the displacement error allowed.

@@ -27,6 +27,7 @@ from ddic.solvers.dual.dual_problem import DualProblem, DualSchurOperator, Local
 from ddic.solvers.exchange import Exchange, fetch_copies
 from ddic.solvers.petsc import (
     INVERSE,
+    PetscOwner,
     PetscStack,
     can_eliminate,
     create_ksp,
@@ -43,7 +44,7 @@ class Preconditioning(Protocol):
         """Apply y = P x to residuals x: PETSc's callback."""
 
 
-class SparseInverse:
+class SparseInverse(PetscOwner):
     """S_s^-1 through [[A_s, -T_s^T], [-T_s, D_s]] (y, x) = (0, -r), whose x is S_s^-1 r.
 
     The first row gives y = A_s^-1 T_s^T x, the second then S_s x = r. With A_s eliminated what is left is -S_s, so that
@@ -85,10 +86,6 @@ class SparseInverse:
         self._right.getArray()[self._n_field:] = -r
         self._factor.solve(self._right, self._left)
         return np.array(self._left.getArray(readonly=1)[self._n_field:])
-
-    def destroy(self) -> None:
-        """Free the factor."""
-        self._objects.close()
 
 
 SINGULAR_INTERFACE = ("the interface problem of a subdomain is singular to rounding; use larger subdomains, or a "
@@ -267,7 +264,7 @@ class TwoLevelPreconditioner:
             self._coarse.correct(left, y)
 
 
-class MotionPreconditioner:
+class MotionPreconditioner(PetscOwner):
     """Context of PETSc's shell preconditioner for [[S, B], [B^T, -D]] (Lambda, alpha), from P for S alone.
 
     alpha = (B^T P B + D)^-1 (B^T P r - r_alpha), Lambda = P (r - B alpha): exact where P = S^-1. The rows of alpha are
@@ -315,10 +312,6 @@ class MotionPreconditioner:
         alpha = np.linalg.solve(self._small, projected - given)
         y.setArray(y.getArray(readonly=1) - self._products @ alpha)
         self._put(y, alpha)
-
-    def destroy(self, _: PETSc.PC | None = None) -> None:
-        """Free PETSc's objects; PETSc calls it too, when the preconditioner goes whose context this is."""
-        self._objects.close()
 
     def _take(self, vector: PETSc.Vec) -> Array:
         """Alpha's rows of a vector, on all ranks; collective."""
