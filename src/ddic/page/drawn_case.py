@@ -26,6 +26,7 @@ from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 from ddic.io.text_files import read_text
 from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
+from ddic.mesh.structured import count_cells
 from ddic.mesh.topology import find_boundary_facets
 from ddic.page.case_run import CaseRun
 from ddic.page.image_pane import ScreenImage
@@ -109,7 +110,10 @@ def _check_text(text: str, drawn: DrawnCase) -> Checked:
     loaded, problems = load_text_leniently(text, drawn.path)
     if loaded is None:
         return Checked(None, None, None, problems)
-    n_cells = estimate_cells(loaded.case)
+    try:
+        n_cells = estimate_cells(loaded.case)
+    except InputError as error:
+        return Checked(loaded, None, None, [*problems, *error.problems])
     if n_cells > MOST_CELLS:
         left_out = (f"{loaded.case.mesh.name}: about {n_cells:,} elements; this page builds meshes of up to "
                     f"{MOST_CELLS:,}, and of more only rectangles without holes: it draws outlines alone, and "
@@ -132,14 +136,17 @@ def _check_text(text: str, drawn: DrawnCase) -> Checked:
 
 
 def estimate_cells(case: Case) -> int:
-    """Estimate the cells of the mesh that would be built as a whole for a case, from above where it has holes."""
+    """Estimate the cells of the mesh that would be built as a whole for a case, from above where it has holes.
+
+    Raises InputError where no mesh has as many.
+    """
     section, file = case.mesh.structured or case.mesh.unstructured, case.mesh.file
     if file is not None:
         return file.stat().st_size // BYTES_OF_CELL if file.is_file() else 0
     if section is None or is_plain_grid(case):
         return 0
-    x0, y0, x1, y1 = section.box
-    return int((x1 - x0) * (y1 - y0) / section.element_size**2) * (1 if section.cell == "Q4" else 2)
+    n_columns, n_rows = count_cells(section.box, section.element_size, case.mesh.name)
+    return n_columns * n_rows * (1 if section.cell == "Q4" else 2)
 
 
 def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ()) -> DrawnCase:
