@@ -16,7 +16,7 @@ SIZE ?= 22000
 # Each of the many processes would else compile all modules anew, where the environment says so.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install setup demo test test-programs test-slurm test-hosts lint docs pictures bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
+.PHONY: help install setup page demo test test-programs test-slurm test-hosts lint docs pictures bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
 	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer trials smoke clean
 
@@ -40,6 +40,9 @@ $(BENCH_STAMP): $(SETUP_STAMP)
 $(DOCS_STAMP): $(SETUP_STAMP)
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[docs]'
 	@touch $@
+
+page: install ## what ddic draw and ddic view need besides (make setup has it)
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --only-binary=petsc,petsc4py --no-build-isolation --editable '.[page]'
 
 demo: install ## render a plate with a hole in tension, measure it on two ranks, print the error
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; bash examples/demo/run.sh

@@ -33,8 +33,8 @@ from ddic.page.case_text import (
     read_shape,
     remove_shape,
     set_mesh,
-    set_number,
     set_shape,
+    set_value,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -279,7 +279,7 @@ def test_any_sequence_of_changes_says_what_was_drawn(data: st.DataObject, name: 
             if value is None and keys[-1] not in section:
                 expected = before
                 continue
-            text = set_number(text, keys, value)
+            text = set_value(text, keys, value)
             if value is None:
                 del section[keys[-1]]
             else:
@@ -301,7 +301,7 @@ def test_nothing_changes_where_the_same_is_set(name: str) -> None:
         for key in keys:
             section = section.get(key, {})
         if section != {}:
-            assert set_number(text, keys, float(section)) == text
+            assert set_value(text, keys, float(section)) == text
 
 
 def changed_lines(old: str, new: str) -> list[tuple[str, str]]:
@@ -310,8 +310,8 @@ def changed_lines(old: str, new: str) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("change", "old", "new"), [
-    (lambda text: set_number(text, SIZE, 12.0), "element_size = 16  # of the size", "element_size = 12  # of the size"),
-    (lambda text: set_number(text, WAVELENGTH, 62.5), "cut_off_wavelength = 80  # of the wavelength",
+    (lambda text: set_value(text, SIZE, 12.0), "element_size = 16  # of the size", "element_size = 12  # of the size"),
+    (lambda text: set_value(text, WAVELENGTH, 62.5), "cut_off_wavelength = 80  # of the wavelength",
      "cut_off_wavelength = 62.5  # of the wavelength"),
     (lambda text: set_shape(text, Shape(REGION, ((11.0, 12.0), (90.0, 70.5)))), "    10.0,   # of x0",
      "    11,   # of x0"),
@@ -329,7 +329,7 @@ def test_what_is_added_stands_where_a_person_would_write_it() -> None:
     text = starter()
     text = set_shape(text, Shape(HOLE, ((50.0, 40.0), (65.5, 40.0)), find_place(text, HOLE)))
     text = set_shape(text, Shape(HOLE, ((20.5, 40.0), (30.5, 40.0)), find_place(text, HOLE)))
-    text = set_number(text, WAVELENGTH, 80.0)
+    text = set_value(text, WAVELENGTH, 80.0)
     text = set_shape(text, Shape(BOX, ((10.0, 10.0), (12.0, 70.0)), find_place(text, BOX)))
     text = set_shape(text, Shape(LINE, ((0.0, 30.0), (50.0, 35.0)), find_place(text, LINE)))
     new = [line for line in text.split("\n") if line not in starter().split("\n")]
@@ -383,7 +383,7 @@ def test_the_last_one_leaves_nothing_empty() -> None:
         shape = Shape(kind, vertices)
         removed = remove_shape(set_shape(starter(), shape), shape)
         assert removed.rstrip("\n") == starter().rstrip("\n")
-    without = set_number(set_number(starter(), WAVELENGTH, 80.0), WAVELENGTH, None)
+    without = set_value(set_value(starter(), WAVELENGTH, 80.0), WAVELENGTH, None)
     assert without.rstrip("\n") == starter().rstrip("\n")
     load_case_text(without, Path("case.toml"))
 

@@ -23,7 +23,10 @@ from support.cases import case_text
 from support.commands import DDIC, LIMIT, finished, started
 from support.page_results import Motion, write_known
 
-MISSING = "pages in the browser need {}: pip install 'ddic[page]'"
+
+def say_missing(named: str) -> str:
+    return (f"pages in the browser need {named}: {sys.executable} -m pip install {named.replace(' and ', ' ')}, "
+            "or make page where ddic was set up by make")
 
 
 @pytest.mark.parametrize(("missing", "named"), [
@@ -37,13 +40,13 @@ def test_an_installation_without_pages_says_so_in_a_line(
                       ["draw", "absent.tif"]):
         ran = CliRunner().invoke(command_line, arguments)
         assert ran.exit_code == 2
-        assert ran.output == MISSING.format(named) + "\n"
+        assert ran.output == say_missing(named) + "\n"
     result = ddic.open(write_known(folder / "r.vtkhdf", Motion()))
     for look in (lambda: ddic.draw(folder / "f.tif", folder / "case.toml"), lambda: ddic.view_results("r.vtkhdf"),
                  result.view):
         with pytest.raises(InputError) as raised:
             look()
-        assert str(raised.value) == MISSING.format(named)
+        assert str(raised.value) == say_missing(named)
     assert not (folder / "case.toml").exists()
 
 
@@ -60,7 +63,7 @@ def test_it_does_so_where_bokeh_is_really_not_there(folder: Path) -> None:
             f"sys.argv = ['ddic', 'draw', {str(folder / 'f.tif')!r}]\ncommand_line()\n")
     job = finished([sys.executable, "-c", code])
     assert job.code == 2
-    assert job.err == MISSING.format("bokeh and tomlkit") + "\n"
+    assert job.err == say_missing("bokeh and tomlkit") + "\n"
 
 
 def test_help_does_not_bring_the_server() -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from bokeh.events import DoubleTap
 from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Segment
 
 from ddic.case.loader import load_case
@@ -33,6 +34,7 @@ from support.page_tab import Jobs, Tab
 
 HOLE, LINE, REGION = "hole: circle", "line: crack, shear band", "region: rectangle"
 POINTS = "Its points: x, y; x, y; ... (px)"
+DEFORMED = "Deformed images: one; a.tif, b.tif; or a pattern, zoom-*.tif"
 PROBES = "Probes (a file for ddic probe --probes)"
 SIZE, WAVELENGTH = "Element size (px)", "Cut-off wavelength (px)"
 
@@ -90,6 +92,14 @@ def test_a_polygon_ends_with_a_double_click(open_draw: OpenDraw, folder: Path) -
     tab.double_click(50.0, 60.0)
     assert tomllib.loads(text_of(tab, folder))["mesh"]["structured"]["polygons"] == [
         {"vertices": [[40, 40], [60, 40], [50, 60]]}]
+
+
+def test_a_fast_click_elsewhere_is_a_click(open_draw: OpenDraw, folder: Path) -> None:
+    """The browser tells of it as the second of a double one."""
+    tab = open_draw()
+    tab.draw(HOLE, [(96.0, 96.0)])
+    tab.send("image", DoubleTap, 110.0, 96.0)
+    assert "circles = [{center = [96, 96], radius = 14}]" in text_of(tab, folder)
 
 
 def test_a_double_click_that_ends_a_shape_does_not_begin_the_next_one(open_draw: OpenDraw, folder: Path) -> None:
@@ -334,7 +344,8 @@ def test_what_is_too_large_to_be_drawn_is_told(drawn: DrawnCase, monkeypatch: py
     monkeypatch.setattr(drawn_case, "MOST_CELLS", checked.mesh.n_cells - 1)
     refused = check_text(text, drawn)
     assert (refused.mesh, refused.report) == (None, None)
-    assert "outlines alone, and ddic check" in refused.problems[0]
+    assert refused.problems == []
+    assert "outlines alone, and ddic check" in refused.warnings[0]
     assert check_text(drawn.text, drawn).report is not None
 
 
@@ -356,6 +367,38 @@ def test_undo_takes_back_one_change_after_the_other(open_draw: OpenDraw, folder:
     tab.draw(HOLE, [(96.0, 96.0), (110.0, 96.0)])
     tab.press("Undo")
     assert text_of(tab, folder) == texts[0]
+
+
+def test_undo_takes_back_probes_and_clicks_too(open_draw: OpenDraw, folder: Path) -> None:
+    tab = open_draw()
+    before = text_of(tab, folder)
+    tab.draw(HOLE, [(96.0, 96.0), (110.0, 96.0)])
+    tab.draw("probe: point", [(40.0, 40.0)])
+    # A first click alone.
+    tab.draw("probe: gauge", [(60.0, 60.0)])
+    with_hole = text_of(tab, folder)
+    tab.press("Undo")
+    assert "point_1" in tab.widget(PROBES).value
+    tab.press("Undo")
+    assert (tab.widget(PROBES).value, text_of(tab, folder)) == ("", with_hole)
+    tab.press("Undo")
+    assert text_of(tab, folder) == before
+
+
+def test_deformed_images_are_named(open_draw: OpenDraw, folder: Path) -> None:
+    tab = open_draw()
+    assert tab.widget(DEFORMED).value == "g.tif"
+    before = text_of(tab, folder)
+    tab.enter(DEFORMED, "g.tif, f.tif")
+    assert added_lines(before, text_of(tab, folder)) == ['deformed = ["g.tif", "f.tif"]']
+    assert tab.widget(DEFORMED).value == "g.tif, f.tif"
+    tab.enter(DEFORMED, "?.tif")
+    assert added_lines(before, text_of(tab, folder)) == ['deformed = "?.tif"']
+    tab.enter(DEFORMED, "absent.tif")
+    assert "absent.tif: no such image file" in problems(tab)
+    # A case that is known to be wrong is not run.
+    tab.press("Run")
+    assert not (folder / "case.toml").exists()
 
 
 def test_shapes_are_removed(open_draw: OpenDraw, folder: Path) -> None:
@@ -627,8 +670,8 @@ def test_probes_are_written_beside_the_case_and_read_again(drawn: DrawnCase, fol
     tab.draw("probe: point", [(40.0, 40.0)])
     tab.press("Write the case")
     assert f"the case was written to {folder / 'case.toml'}" in tab.texts()
-    assert (f"the probes (1) were written to {folder / 'case.probes.toml'}, for ddic probe RESULT --probes "
-            "case.probes.toml") in tab.texts()
+    assert (f"the probes (1) were written to {folder / 'case.probes.toml'}, for ddic probe and ddic view by "
+            "--probes case.probes.toml") in tab.texts()
     assert "ready to run" in tab.texts()
     assert load_probes(folder / "case.probes.toml") == [PointProbe("point_1", (40.0, 40.0))]
     tab.press("Write the case")

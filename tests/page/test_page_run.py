@@ -286,11 +286,13 @@ def test_a_case_is_measured_from_the_page(folder: Path, jobs: Jobs) -> None:
 
 @pytest.mark.program
 def test_a_case_that_is_refused_says_why(folder: Path, jobs: Jobs) -> None:
-    tab, run = open_page(folder, jobs, case_text(region="region = [24, 24, 300, 168]"))
+    tab, run = open_page(folder, jobs, case_text())
+    # After the page has checked the case.
+    (folder / "g.tif").unlink()
     tab.press("Run")
     assert ended(run) == 2
     tab.poll()
-    assert "the mesh lies outside the image" in tab.find(PreText).text
+    assert "g.tif: no such image file" in tab.find(PreText).text
     assert shown_tabs(tab) == ["Draw"]
 
 

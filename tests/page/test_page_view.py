@@ -161,11 +161,11 @@ def test_limits_are_percentiles_or_given(open_view: OpenView) -> None:
     values = 1.0 + np.arange(MESH.n_cells) / MESH.n_cells
     assert limits_of(tab) == pytest.approx(np.percentile(values, (2, 98)), rel=1e-12)
     tab.enter("percentiles", 10)
-    tab.enter(" ", 50)
+    tab.enter("and", 50)
     assert limits_of(tab) == pytest.approx(np.percentile(values, (10, 50)), rel=1e-12)
     for low, high in ((60, 50), (-1, 50), (10, 101), (None, 50), (50, 50)):
         tab.enter("percentiles", low)
-        tab.enter(" ", high)
+        tab.enter("and", high)
         assert limits_of(tab) == pytest.approx(np.percentile(values, (2, 98)), rel=1e-12)
     tab.enter("from (empty: percentile)", 0.5)
     # One limit alone is none.
@@ -535,7 +535,7 @@ def test_the_table_has_the_digits_of_ddic_probe(
     tab = open_view("series", probes=probes)
     tab.enter("Frame", 3)
     head, *rows = table_of(tab)
-    assert head[:4] == ["probe", "u_x", "u_y", "± [px]"]
+    assert head[:4] == ["probe", "u_x", "u_y", "± σ [px]"]
     assert [row[0] for row in rows] == ["A", "B", "C", "D"]
     ran = CliRunner().invoke(probe, [str(known["series"]), "--point", "20,20", "--extensometer", "12,15,42,15"])
     *_, a, c = [line.split() for line in ran.output.splitlines() if line.strip().startswith(("0.5", "1 ", "3 "))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +17,8 @@ def require_page() -> None:
     """Raise InputError where the packages that pages need are not installed."""
     missing = [name for name in ("bokeh", "tomlkit") if find_spec(name) is None]
     if missing:
-        raise InputError(f"pages in the browser need {' and '.join(missing)}: pip install 'ddic[page]'")
+        raise InputError(f"pages in the browser need {' and '.join(missing)}: {sys.executable} -m pip install "
+                         f"{' '.join(missing)}, or make page where ddic was set up by make")
 
 
 HEIGHT = 900

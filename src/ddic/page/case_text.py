@@ -35,6 +35,7 @@ N_SIDES = 72
 
 MESH, BY_GMSH = ("mesh", "structured"), ("mesh", "unstructured")
 REGION = (*MESH, "region")
+DEFORMED = ("images", "deformed")
 MASKED = ("images", "masked")
 LINES = ("discontinuity",)
 NEAR = ("near", "region")
@@ -227,8 +228,8 @@ def remove_shape(text: str, shape: Shape) -> str:
     return _write(document)
 
 
-def set_number(text: str, keys: tuple[str, ...], value: float | None) -> str:
-    """Set a number of a section, or take it out where it is None, and the section that it leaves empty."""
+def set_value(text: str, keys: tuple[str, ...], value: float | str | list[str] | None) -> str:
+    """Set a key of a section, or take it out where it is None, and the section that it leaves empty."""
     document = _parse(text)
     section = _find_section(document, find_keys(keys, document)[:-1])
     if value is None:
@@ -370,4 +371,5 @@ def _convert(value: Any) -> Any:
         array = tomlkit.array()
         array.extend(_convert(item) for item in value)
         return array
-    return int(value) if float(value).is_integer() and abs(value) < MOST_WHOLE else value
+    is_whole = not isinstance(value, str) and float(value).is_integer() and abs(value) < MOST_WHOLE
+    return int(value) if is_whole else value

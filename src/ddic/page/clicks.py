@@ -15,6 +15,9 @@ from ddic.page.image_pane import ImagePane
 NOTHING = "(nothing)"
 """The first choice of a list."""
 
+AT_REST = "the wheel zooms, dragging moves the image"
+"""What to do where nothing is drawn."""
+
 SAME_CLICK = 4.0
 """Pixels of the screen within which a click repeats the one before it, as both of a double click do."""
 
@@ -36,32 +39,47 @@ class ClickDrawer:
         Of each thing that can be drawn: the least number of clicks, whether more may follow, and what to do.
     done : callable
         Told the name of a thing and its points, pixels rounded to what the screen shows.
+    at_rest : str
+        What to do where nothing is drawn.
     snap : callable or None
         Moves a point to what lies near.
     """
 
     def __init__(self, pane: ImagePane, forms: Mapping[str, tuple[int, bool, str]],
-                 done: Callable[[str, list[Point]], None], snap: Snap | None = None) -> None:
-        self._pane, self._forms, self._done, self._snap = pane, forms, done, snap
+                 done: Callable[[str, list[Point]], None], at_rest: str, snap: Snap | None = None) -> None:
+        self._pane, self._forms, self._done, self._at_rest, self._snap = pane, forms, done, at_rest, snap
         self._points: list[Point] = []
         self._last: Point | None = None
         self._end_time = 0.0
         self.choice = Select(title="Draw", value=NOTHING, options=[NOTHING, *forms])
         self.finish = Button(label="Finish", disabled=True)
-        self.hint = Div(text="")
+        self.hint = Div(text=at_rest, width=430)
         self._pending = ColumnDataSource({"x": [], "y": []})
         pane.figure.line("x", "y", source=self._pending, color="#ff3030", line_width=2)
         pane.figure.scatter("x", "y", source=self._pending, color="#ff3030", size=7)
         self.choice.on_change("value", lambda attribute, old, new: self._begin())
         self.finish.on_click(self._end)
         pane.figure.on_event(Tap, self._click)
-        pane.figure.on_event(DoubleTap, lambda event: self._end())
+        pane.figure.on_event(DoubleTap, self._click_twice)
 
     def _begin(self) -> None:
         self._set_points([])
-        self.hint.text = self._forms[self.choice.value][2] if self.choice.value in self._forms else ""
+        self.hint.text = self._forms[self.choice.value][2] if self.choice.value in self._forms else self._at_rest
 
-    def _click(self, event: Tap) -> None:
+    def take_back(self) -> bool:
+        """Take back the last click of a shape that is not whole yet; tell whether there was one."""
+        had_one = bool(self._points)
+        self._set_points(self._points[:-1])
+        return had_one
+
+    def _click_twice(self, event: DoubleTap) -> None:
+        """The end of a shape, or a fast click at another place, which the browser tells as the second of a double."""
+        if self._last is None or math.dist((event.x, event.y), self._last) < SAME_CLICK * self._pane.pitch:
+            self._end()
+        else:
+            self._click(event)
+
+    def _click(self, event: Tap | DoubleTap) -> None:
         if self.choice.value not in self._forms:
             return
         pitch = self._pane.pitch

@@ -38,6 +38,7 @@ from ddic.page.case_text import (
     BY_GMSH,
     BY_NAME,
     CLICKS,
+    DEFORMED,
     FEWEST,
     MESH,
     Kind,
@@ -48,10 +49,10 @@ from ddic.page.case_text import (
     list_shapes,
     remove_shape,
     set_mesh,
-    set_number,
     set_shape,
+    set_value,
 )
-from ddic.page.clicks import ClickDrawer
+from ddic.page.clicks import AT_REST, ClickDrawer
 from ddic.page.drawn_case import CaseFile, Checked, DrawnCase, check_text, find_mask_outline
 from ddic.page.image_pane import ImagePane, Rgba, ScreenRaster
 from ddic.page.layers import draw_dots, draw_edges, draw_field, find_cell_centres, find_nodes_in_sight
@@ -66,6 +67,11 @@ EDGES, TEXTURE, WEAK = "mesh", "texture by element", "nodes of weak texture"
 
 STRENGTHS = (-2.0, 1.0)
 """Decimal logarithms of the texture that colours show, where 0 is that of most of the pattern."""
+
+HANDLES = f"{AT_REST}; with the tool that moves points, above it, dragging moves the yellow corners"
+
+OF_SIZE = "Of elements; the line 'pattern' below says what the image asks for."
+OF_WAVELENGTH = "Empty: no regularization. 3 to 5 elements are usual; ddic sweep recommends one for a case."
 
 WRONG, DOUBTFUL, DONE = "#b00020", "#8a5a00", "#1b6e20"
 """Colours of what is told."""
@@ -87,7 +93,7 @@ class _DrawPage:
         self._checked = Checked(None, None, None, [])
         self._outline = np.zeros((0, 2))
         self._file, self._probes_file = CaseFile(drawn.path), CaseFile(drawn.path.with_suffix(PROBES))
-        self._undone: list[str] = []
+        self._undone: list[tuple[TextAreaInput, str]] = []
         self._worker = ThreadPoolExecutor(1)
         self._n_asked = 0
         self.pane = ImagePane(drawn.image, [self._draw])
@@ -96,6 +102,8 @@ class _DrawPage:
         self._shapes: dict[str, Shape] = {}
         self._make_controls()
         self.probes.text.value = self._probes_file.text or ""
+        for area in (self.text, self.probes.text):
+            area.on_change("value", partial(self._keep, area))
         # At once: the check of a large case takes seconds.
         self.pane.draw()
         self._follow_text()
@@ -116,22 +124,25 @@ class _DrawPage:
         self.probes.show_on(self.pane)
         forms = {kind.name: (FEWEST[kind.form], kind.form in ("polygon", "line"), CLICKS[kind.form])
                  for kind in BY_NAME.values()}
-        self.drawer = ClickDrawer(self.pane, {**forms, **FORMS}, self._take, self._snap)
+        self.drawer = ClickDrawer(self.pane, {**forms, **FORMS}, self._take, HANDLES, self._snap)
         begun = self._drawn.text if self._file.text is None else self._file.text
         self.text = TextAreaInput(title=str(self._drawn.path), value=begun, rows=22, width=430, max_length=None,
                                   stylesheets=["textarea { font-family: monospace; white-space: pre; }"])
-        self.text.on_change("value", lambda attribute, old, new: self._keep(old))
+        self.text.on_change("value", lambda attribute, old, new: self._follow_text())
+        self.deformed = TextInput(title="Deformed images: one; a.tif, b.tif; or a pattern, zoom-*.tif", width=430)
         self.chosen = Select(title="Drawn", options=[], value="")
         self.numbers = TextInput(title="Its points: x, y; x, y; ... (px)", width=430)
         self.remove = Button(label="Remove")
         self.undo = Button(label="Undo")
         self.mesh = Select(title="Mesh", options=[(MESH[1], "regular"), (BY_GMSH[1], "by gmsh")], width=100)
-        self.element_size = NumericInput(title="Element size (px)", mode="float", width=130)
-        self.wavelength = NumericInput(title="Cut-off wavelength (px)", mode="float", width=130)
+        self.element_size = NumericInput(title="Element size (px)", mode="float", width=130, description=OF_SIZE)
+        self.wavelength = NumericInput(title="Cut-off wavelength (px)", mode="float", width=150,
+                                       description=OF_WAVELENGTH)
         self.shown = CheckboxGroup(labels=[EDGES, TEXTURE, WEAK], active=[0], inline=True)
         self.messages = Div(width=430)
         self.write = Button(label="Write the case", button_type="primary")
-        self.running = RunBox(self._drawn.run, self._document, self._write, self._open_result, self._tell)
+        self.running = RunBox(self._drawn.run, self._document, self._write_to_run, self._open_result, self._tell)
+        self.deformed.on_change("value", lambda attribute, old, new: self._name_deformed(new))
         self.chosen.on_change("value", lambda attribute, old, new: self._show_numbers())
         self.numbers.on_change("value", lambda attribute, old, new: self._type_numbers(new))
         self.remove.on_click(self._remove)
@@ -147,10 +158,11 @@ class _DrawPage:
     def layout(self) -> Tabs:
         """What the tab shows."""
         right = column(
+            self.deformed,
             row(self.drawer.choice, column(self.drawer.finish, self.undo)), self.drawer.hint,
             row(self.chosen, self.remove), self.numbers,
-            row(self.mesh, self.element_size, self.wavelength), self.shown, self.messages,
-            row(self.write, *self.running.controls), self.running.log)
+            row(self.mesh, self.element_size, self.wavelength), self.shown,
+            row(self.write, *self.running.controls), self.running.log, self.messages)
         # Texts go below the image where the screen is narrow.
         drawing = row(column(self.pane.figure), right, column(self.text, self.probes.text),
                       styles={"flex-wrap": "wrap"}, width_policy="max")
@@ -159,16 +171,17 @@ class _DrawPage:
 
     # What is clicked or typed changes the text, and all else follows from that.
 
-    def _keep(self, old: str) -> None:
-        self._undone.append(old)
-        self._follow_text()
+    def _keep(self, area: TextAreaInput, attribute: str, old: str, new: str) -> None:
+        self._undone.append((area, old))
 
     def _undo(self) -> None:
-        if self._undone:
-            text = self._undone.pop()
-            self.text.value = text
-            # The change itself is no step back.
-            self._undone.pop()
+        """Take back the last click of a shape that is not whole, or the last change of the case or the probes."""
+        if self.drawer.take_back() or not self._undone:
+            return
+        area, before = self._undone.pop()
+        area.value = before
+        # The change itself is no step back.
+        self._undone.pop()
 
     def _take(self, name: str, points: list[Point]) -> None:
         if name in FORMS:
@@ -222,7 +235,12 @@ class _DrawPage:
 
     def _set_number(self, keys: tuple[str, ...], attribute: str, old: float | None, new: float | None) -> None:
         if new != _find_number(self._data, keys):
-            self._change(lambda text: set_number(text, keys, new))
+            self._change(lambda text: set_value(text, keys, new))
+
+    def _name_deformed(self, typed: str) -> None:
+        if typed != list_deformed(self._data):
+            names = [name.strip() for name in typed.split(",") if name.strip()]
+            self._change(lambda text: set_value(text, DEFORMED, names[0] if len(names) == 1 else names))
 
     def _choose_mesh(self, name: str) -> None:
         if name != find_mesh(self._data):
@@ -249,6 +267,7 @@ class _DrawPage:
         if self.chosen.value not in self._shapes:
             self.chosen.value = next(iter(self._shapes), "")
         self._show_numbers()
+        self.deformed.value = list_deformed(self._data)
         self.mesh.value = find_mesh(self._data)
         self.element_size.value = _find_number(self._data, (*MESH, "element_size"))
         self.wavelength.value = _find_number(self._data, ("regularization", "cut_off_wavelength"))
@@ -337,13 +356,17 @@ class _DrawPage:
             self._file.write(self.text.value)
             if self.probes.text.value != (self._probes_file.text or ""):
                 self._probes_file.write(self.probes.text.value)
-                done.append(f"the probes ({n_probes}) were written to {probes.absolute()}, for ddic probe RESULT "
-                            f"--probes {probes.name}")
+                done.append(f"the probes ({n_probes}) were written to {probes.absolute()}, for ddic probe and "
+                            f"ddic view by --probes {probes.name}")
         except (InputError, OSError) as error:
             self._tell([str(error)])
             return False
         self._tell([], done)
         return True
+
+    def _write_to_run(self) -> bool:
+        """Write the files of a case that is not known to be wrong; return whether they hold the texts."""
+        return not self._checked.problems and self._write()
 
     def _open_result(self) -> None:
         """Show what was measured in a tab beside the drawing, also where it was stopped or did not converge."""
@@ -359,6 +382,13 @@ class _DrawPage:
             return
         self._tabs.tabs = [self._tabs.tabs[0], TabPanel(title="Result", child=layout)]
         self._tabs.active = 1
+
+
+def list_deformed(data: Mapping[str, Any]) -> str:
+    """List the deformed images of a case as they are typed."""
+    images = data.get(DEFORMED[0])
+    given = images.get(DEFORMED[1], "") if isinstance(images, Mapping) else ""
+    return ", ".join(map(str, given)) if isinstance(given, list) else str(given)
 
 
 def find_mesh(data: Mapping[str, Any]) -> str:

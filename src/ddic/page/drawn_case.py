@@ -115,10 +115,10 @@ def _check_text(text: str, drawn: DrawnCase) -> Checked:
     except InputError as error:
         return Checked(loaded, None, None, [*problems, *error.problems])
     if n_cells > MOST_CELLS:
-        left_out = (f"{loaded.case.mesh.name}: about {n_cells:,} elements; this page builds meshes of up to "
-                    f"{MOST_CELLS:,}, and of more only rectangles without holes: it draws outlines alone, and "
-                    f"ddic check {drawn.path} says the rest")
-        return Checked(loaded, None, None, [*problems, left_out])
+        warnings.warn(f"{loaded.case.mesh.name}: about {n_cells:,} elements; this page builds meshes of up to "
+                      f"{MOST_CELLS:,}, and of more only rectangles without holes: it draws outlines alone, and "
+                      f"ddic check {drawn.path} says the rest", UserWarning, stacklevel=2)
+        return Checked(loaded, None, None, problems)
     image = drawn.image.source
     if not _is_drawn_on(loaded, image.path):
         problems = [*problems, f"images.reference: this page shows {image.path}; draw another image by ddic draw"]

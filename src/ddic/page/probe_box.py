@@ -37,7 +37,8 @@ FORMS = {
     "probe: point": (1, False, "click the point"),
     "probe: line": (2, False, BOTH_ENDS),
     "probe: extensometer": (2, False, BOTH_ENDS),
-    "probe: gauge": (2, False, f"{BOTH_ENDS} of the gauge length: a square about its middle, which text can change"),
+    "probe: gauge": (2, False, f"{BOTH_ENDS} of its length, along the strain to be measured: it is a square, which the "
+                               "text can change"),
 }
 
 LINE_SPACING = 1.0
@@ -163,7 +164,7 @@ class ProbeReadings:
         self._known: dict[tuple[Frames, Probe], list[ProbeRecord]] = {}
         self._asked: tuple[Frames, Sequence[Probe], int] | None = None
         self.quantity = Select(title="Curve of", options=list(QUANTITIES), value=next(iter(QUANTITIES)), width=150)
-        self.table = Div(width=760)
+        self.table = Div(width=760, styles={"white-space": "nowrap"})
         self.profile, self.curves = (
             figure(width=440, height=260, toolbar_location=None, tools="hover", name=name, visible=False)
             for name in ("profile", "curves"))
@@ -249,7 +250,7 @@ def _write_table(records: Sequence[ProbeRecord]) -> str:
     """A row for each probe, numbers as ``ddic probe`` prints them; of lines, the means."""
     if not records:
         return ""
-    head = ["probe", *OF_TABLE[:2], f"± [{records[0].unit.name}]", *OF_TABLE[2:], "±", ""]
+    head = ["probe", *OF_TABLE[:2], f"± σ [{records[0].unit.name}]", *OF_TABLE[2:], "± σ", ""]
     rows = ["".join(f"<th>{escape(name)}</th>" for name in head)]
     for record in records:
         known = record.metrology

@@ -36,7 +36,7 @@ from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import CellSearch
 from ddic.mesh.mesh import Mesh
 from ddic.page.case_text import Point
-from ddic.page.clicks import NOTHING, ClickDrawer
+from ddic.page.clicks import AT_REST, NOTHING, ClickDrawer
 from ddic.page.frames import (
     BY_NAME,
     FIELDS,
@@ -152,7 +152,7 @@ class _FieldPane:
             palette = ["#{:02x}{:02x}{:02x}".format(*colour) for colour in list_colours(page.palette)]
             self._colours.update(palette=palette, name=page.palette)
         self._colours.update(low=limits[0], high=limits[1])
-        self._bar.title = _write_plainly(values.label)
+        self._bar.title = _write_plainly(page.scale.format_label(values.label))
 
     def describe(self, place: Point) -> str:
         """Say what the result measured that is seen at a place."""
@@ -212,7 +212,7 @@ class _ViewPage:
             self._panes.append(right)
         for shown in self._panes:
             self.probes.show_on(shown.pane)
-        self.drawer = ClickDrawer(self._left.pane, FORMS, self._take)
+        self.drawer = ClickDrawer(self._left.pane, FORMS, self._take, AT_REST)
         self._choose_results()
 
     def _make_controls(self, first: Frames) -> None:
@@ -222,10 +222,10 @@ class _ViewPage:
                             value=names[1] if len(names) > 1 else NOTHING, visible=len(names) > 1)
         self.choice = Select(title="Field", options=first.list_fields(), value=FIELDS[0].name)
         self.colours = Select(title="Colours", options=list(PALETTES), value=PALETTES[0], width=110)
-        self.low = NumericInput(title="from (empty: percentile)", mode="float", width=150)
-        self.high = NumericInput(title="to", mode="float", width=110)
-        self.low_share = NumericInput(title="percentiles", mode="float", value=canvas.PERCENTILES[0], width=80)
-        self.high_share = NumericInput(title=" ", mode="float", value=canvas.PERCENTILES[1], width=80)
+        self.low = NumericInput(title="from (empty: percentile)", mode="float", width=145)
+        self.high = NumericInput(title="to", mode="float", width=105)
+        self.low_share = NumericInput(title="percentiles", mode="float", value=canvas.PERCENTILES[0], width=75)
+        self.high_share = NumericInput(title="and", mode="float", value=canvas.PERCENTILES[1], width=75)
         self.shown = CheckboxGroup(labels=[MOVED, HATCHED], active=[1])
         n_frames = max(len(frames) for frames in self._results.values())
         self.slider = Slider(title="Frame", start=1, end=max(n_frames, 2), value=1, step=1, width=430,
@@ -266,8 +266,11 @@ class _ViewPage:
             row(self.drawer.choice, self.readings.quantity), self.drawer.hint, self.probes.text,
             row(*self.exports, self.table, self._file))
         panes = row(*(shown.pane.figure for shown in self._panes))
-        below = row(self.readings.profile, self.readings.curves, self.convergence)
-        return column(self.told, row(column(panes, self.values, self.readings.table, below), right))
+        # Curves have all of the width: beside the controls they would push these off a narrow screen.
+        below = row(self.readings.profile, self.readings.curves, self.convergence, styles={"flex-wrap": "wrap"},
+                    width_policy="max")
+        return column(self.told, row(column(panes, self.values, self.readings.table), right), below,
+                      width_policy="max")
 
     # What the controls say.
 
