@@ -19,6 +19,7 @@ from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.window import Window
 from ddic.inputs.masks import draw_mask
+from ddic.io.result_schema import Verdict
 from ddic.mesh.plane import is_inside_edges
 from ddic.parallel.team import Team
 from support.cases import write_case, write_images
@@ -101,6 +102,11 @@ def test_fields_are_those_of_a_painted_mask(shared_path: Path) -> None:
     assert np.array_equal(one.displacement, other.displacement, equal_nan=True)
     assert np.array_equal(one.cell_data["residual_n_pixels"], other.cell_data["residual_n_pixels"])
     assert one.cell_data["residual_n_pixels"].sum() < 144 * 144 - 18 * 144
+    # Cells that lie wholly under a mask are what the user wants, and no reason to look.
+    is_masked = one.cell_data["excluded"] == 5
+    assert is_masked.any()
+    assert np.array_equal(one.cell_data["excluded"] != 0, is_masked)
+    assert one.verdict == Verdict("trust")
 
 
 def test_python_takes_the_key_of_a_case(tmp_path: Path) -> None:

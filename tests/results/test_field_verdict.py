@@ -14,7 +14,7 @@ from ddic.parallel.team import Team
 from ddic.results.verdict import Evidence, choose_verdict, find_tear
 from ddic.synth.fields import Translation
 from ddic.visibility.cell_errors import MarkedCells
-from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
+from ddic.visibility.exclusions import BLANK, HELD_OFF, MASKED, SPOILT, UNSEEN, Exclusions
 from support import spoilt
 from support.pictures import pair_of, source, square_mesh
 from support.split_model import split_model
@@ -65,6 +65,13 @@ def test_a_field_that_is_mostly_unknown_or_torn_is_not_trusted(evidence: Evidenc
 def test_bounds_are_not_reached_by_what_lies_below_them() -> None:
     assert choose_verdict(Evidence(1000, 500, [marked(BLANK, 500)], shown_share=0.5)).word == LOOK
     assert choose_verdict(Evidence(1000, 0, [marked(HELD_OFF, 50)])).word == LOOK
+
+
+def test_cells_that_are_masked_speak_against_nothing() -> None:
+    assert choose_verdict(Evidence(1000, 600, [marked(MASKED, 600)], shown_share=0.4)).word == TRUST
+    # Of the 400 others.
+    assert choose_verdict(Evidence(1000, 801, [marked(MASKED, 600), marked(BLANK, 201)])).word == DISTRUST
+    assert choose_verdict(Evidence(1000, 600, [marked(MASKED, 600)], shown_share=0.19)).word == DISTRUST
 
 
 def test_what_did_not_converge_is_not_trusted_and_says_why() -> None:

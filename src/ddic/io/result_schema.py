@@ -69,7 +69,7 @@ SIGMA_NODAL_STRAIN = ("sigma_exx", "sigma_eyy", "sigma_exy")
 SIGMA_CELL_STRAIN = ("cell_sigma_exx", "cell_sigma_eyy", "cell_sigma_exy")
 REGULARIZATION_BIAS = "regularization_bias"
 
-EXCLUDED_STATES = (1, 2, 3)
+EXCLUDED_STATES = (1, 2, 3, 5)
 """Values of the field ``excluded`` of cells none of whose pixels counts; 4 marks one that is used though mechanics hold
 it off."""
 
@@ -168,8 +168,9 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
         FieldSpec(EQUIVALENT_ERROR, 1, np.float64, "px", "error that would leave the residual beyond noise"),
         FieldSpec(DOUBTFUL, 1, np.uint8, "1", "1 where the residual is that of an error, or no pixel counts"),
         FieldSpec(EXCLUDED, 1, np.uint8, "1", "0 where the cell is measured, else why not: 1 it has no texture, 2 it "
-                  "shows something else than the reference, 3 too few of its pixels are in both images; 4 it counts, "
-                  "though it is seen beside where mechanics hold it"),
+                  "shows something else than the reference, 3 too few of its pixels are in both images, 5 none of "
+                  "the reference image counts, masked or saturated; 4 it counts, though it is seen beside where "
+                  "mechanics hold it"),
         FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
         FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
     )

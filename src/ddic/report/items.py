@@ -408,7 +408,8 @@ APART = 0.08
 """Least distance of two of them, relative to the diagonal of the mesh: one bad spot is one place."""
 
 EXCLUDED = {1: "excluded: no texture", 2: "excluded: it shows something else than the reference",
-            3: "excluded: too few of its pixels are in both images"}
+            3: "excluded: too few of its pixels are in both images",
+            5: "excluded: masked, or saturated, in the reference image"}
 
 
 @dataclass(frozen=True)

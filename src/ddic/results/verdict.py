@@ -17,7 +17,7 @@ from ddic.partition.sharing import find_largest, share_among_copies
 from ddic.partition.split import join_pairs
 from ddic.partition.subdomain import Subdomain
 from ddic.visibility.cell_errors import MarkedCells
-from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions, find_excluded
+from ddic.visibility.exclusions import BLANK, HELD_OFF, MASKED, SPOILT, UNSEEN, Exclusions, find_excluded
 
 MOST_LOST = 0.5
 """Share of the cells that are excluded or doubtful above which a field is not trusted: most of it is a guess."""
@@ -88,11 +88,15 @@ def choose_verdict(evidence: Evidence, failure: str = "") -> Verdict:
 def _list_grave(evidence: Evidence) -> list[str]:
     """Why a field is not trusted at all."""
     n_cells, reasons = evidence.n_cells, []
-    n_held = sum(marked.n_cells for marked in evidence.marked if marked.state == HELD_OFF)
-    if evidence.n_doubtful > MOST_LOST * n_cells:
-        reasons.append(f"{evidence.n_doubtful / n_cells:.0%} of the cells are excluded or doubtful")
-    if evidence.shown_share < LEAST_SHOWN:
-        reasons.append(f"only {evidence.shown_share:.0%} of the cells are seen where the field puts them")
+    n_held, n_masked = (sum(marked.n_cells for marked in evidence.marked if marked.state == state)
+                        for state in (HELD_OFF, MASKED))
+    # Of the cells that a frame could show.
+    n_lost, n_rest = evidence.n_doubtful - n_masked, n_cells - n_masked
+    shown_share = evidence.shown_share * n_cells / max(n_rest, 1)
+    if n_lost > MOST_LOST * n_rest:
+        reasons.append(f"{n_lost / n_rest:.0%} of the cells are excluded or doubtful")
+    if shown_share < LEAST_SHOWN:
+        reasons.append(f"only {shown_share:.0%} of the cells are seen where the field puts them")
     if evidence.is_torn:
         reasons.append("what shows something else runs through the whole mesh and parts it: if it is a crack, measure "
                        "it as a [[discontinuity]]; strains across it are not the specimen's")
@@ -105,7 +109,7 @@ def _list_places(evidence: Evidence) -> list[str]:
     """What to look at, and where."""
     n_cells = evidence.n_cells
     reasons = [f"{marked.n_cells} of {n_cells} cells {REMEDIES[marked.state]} ({marked.places})"
-               for marked in evidence.marked]
+               for marked in evidence.marked if marked.state != MASKED]
     n_excluded = sum(marked.n_cells for marked in evidence.marked if marked.state != HELD_OFF)
     n_doubtful = evidence.n_doubtful - n_excluded
     if n_doubtful > FEW_DOUBTFUL * n_cells:
@@ -117,9 +121,9 @@ def _list_places(evidence: Evidence) -> list[str]:
 
 
 def find_tear(team: Team, subdomains: Sequence[Subdomain], excluded: Exclusions) -> bool:
-    """Tell whether what shows something else, not blank cells, parts the mesh into more large pieces; collective."""
+    """Tell whether what shows something else, not blank or masked, parts the mesh in more large pieces; collective."""
     everywhere = [np.ones(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains]
-    are_kept = [~find_excluded(states) | (states == BLANK) for states, *_ in excluded.cells]
+    are_kept = [~find_excluded(states) | np.isin(states, (BLANK, MASKED)) for states, *_ in excluded.cells]
     return _count_large_pieces(team, subdomains, are_kept) > _count_large_pieces(team, subdomains, everywhere)
 
 

@@ -17,7 +17,7 @@ from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import find_displaced_nodes, find_unseen_unknowns
 from ddic.problem.residual_model import Evaluation
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.visibility.exclusions import BLANK, HELD_OFF, SPOILT, UNSEEN, Exclusions
+from ddic.visibility.exclusions import BLANK, HELD_OFF, MASKED, SPOILT, UNSEEN, Exclusions
 
 DOUBTFUL_PX = 0.15
 """Error of a cell, pixels, from which on it is marked. A larger value marks fewer cells and lets larger errors pass."""
@@ -179,6 +179,7 @@ MOST_PLACES = 3
 OTHER_THAN_REFERENCE = "show something else than the reference"
 REASONS = {SPOILT: f"{OTHER_THAN_REFERENCE} and are excluded", BLANK: "have no texture and are excluded",
            UNSEEN: "hold no or too few pixels that both images show and are excluded",
+           MASKED: "hold no pixel of the reference image that counts, masked or saturated, and are excluded",
            HELD_OFF: "are held by the regularization beside where the images show them; a shorter "
                      "regularization.cut_off_wavelength follows these"}
 
@@ -190,7 +191,7 @@ class MarkedCells:
     Attributes
     ----------
     state : int
-        What is said: BLANK, SPOILT, UNSEEN or HELD_OFF.
+        What is said: BLANK, SPOILT, UNSEEN, MASKED or HELD_OFF.
     n_cells : int
         How many they are.
     places : str

@@ -32,9 +32,10 @@ from ddic.problem.held_cells import CAPTURED, HeldCells, find_cells_beside, meas
 from ddic.problem.residual_model import ResidualModel
 from ddic.visibility.seen_cells import FEWEST_PIXELS, SeenCells, TypicalCell, find_blank, find_standing_out
 
-KEPT, BLANK, SPOILT, UNSEEN, HELD_OFF = 0, 1, 2, 3, 4
-"""Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows; and used
-though the frame shows them pixels beside where mechanics hold them."""
+KEPT, BLANK, SPOILT, UNSEEN, HELD_OFF, MASKED = 0, 1, 2, 3, 4, 5
+"""Cells: used, of no texture, of something else than the specimen, or of too few pixels that the frame shows; used
+though the frame shows them pixels beside where mechanics hold them; and of no pixel of the reference image that
+counts."""
 
 PIXELS_CHANGED = 0.1
 """Share of the spoilt pixels that must come or go for a field to be sought again."""
@@ -268,7 +269,7 @@ def _judge_by_pixels(seen: _SeenView, rules: Rules) -> NDArray[np.uint8]:
     if parts is not None:
         # Of what lies wholly in the band of a line the frame hides nothing: it follows its neighbours.
         is_unseen[parts.cells] &= n_in_reference[parts.cells] > 0
-    states[is_unseen] = UNSEEN
+    states[is_unseen] = np.where(n_in_reference[is_unseen] > 0, UNSEEN, MASKED)
     return states
 
 
