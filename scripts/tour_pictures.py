@@ -149,7 +149,7 @@ def is_same(drawn: Path, kept: Path) -> bool:
     return float(np.abs(one.astype(float) - other.astype(float)).mean()) < SAME_GREY
 
 
-SCREEN = {"page_draw": (1720, 880), "page_view": (1500, 720)}
+SCREEN = {"page_draw": (1720, 880), "page_view": (1500, 860)}
 """Width and height of the browser for each of the pages, pixels."""
 
 
