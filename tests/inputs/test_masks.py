@@ -102,11 +102,23 @@ def test_fields_are_those_of_a_painted_mask(shared_path: Path) -> None:
     assert np.array_equal(one.displacement, other.displacement, equal_nan=True)
     assert np.array_equal(one.cell_data["residual_n_pixels"], other.cell_data["residual_n_pixels"])
     assert one.cell_data["residual_n_pixels"].sum() < 144 * 144 - 18 * 144
-    # Cells that lie wholly under a mask are what the user wants, and no reason to look.
+    # No other reason to look than that more than a tenth of the cells is masked.
     is_masked = one.cell_data["excluded"] == 5
     assert is_masked.any()
     assert np.array_equal(one.cell_data["excluded"] != 0, is_masked)
-    assert one.verdict == Verdict("trust")
+    assert one.verdict is not None
+    assert [reason.partition(" cells ")[2][:42] for reason in one.verdict.reasons] == [
+        "hold no pixel of the reference image that "]
+
+
+@pytest.mark.parametrize("more", ["", '[correlation]\nspoilt_pixels = "keep"\n', "[pgd]\n"])
+def test_masked_cells_are_marked_by_every_method(tmp_path: Path, more: str) -> None:
+    write_images(tmp_path)
+    result = ddic.measure(write_case(tmp_path, more, images="masked = [[40, 40, 72, 72]]\n"))
+    is_masked = result.cell_data["residual_n_pixels"] == 0
+    assert is_masked.any()
+    assert np.array_equal(result.cell_data["excluded"], np.where(is_masked, 5, 0))
+    assert result.verdict == Verdict("trust")
 
 
 def test_python_takes_the_key_of_a_case(tmp_path: Path) -> None:

@@ -154,6 +154,16 @@ def test_formats_that_lose_node_sets_are_refused(tmp_path: Path, name: str) -> N
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(("suffix", "name"), [
+    (".inp", " lead"), (".inp", "a=b"), (".vtu", "a&b"), (".vtu", "a<b"), (".vtu", 'a"b')])
+def test_a_set_that_a_format_cannot_name_is_refused(tmp_path: Path, suffix: str, name: str) -> None:
+    """meshio writes such files, and nobody reads them."""
+    mesh = build_mesh(POINTS[:3, :2], [(T3, np.array([[0, 1, 2]]))], {name: np.array([1])})
+    with pytest.raises(InputError, match=f'cannot name the node set "{name}"; write a'):
+        write_mesh(tmp_path / f"m{suffix}", mesh)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_set_that_abaqus_cannot_name_is_refused(tmp_path: Path) -> None:
     mesh = build_mesh(POINTS[:3, :2] * [1, 1], [(T3, np.array([[0, 1, 2]]))], {"a,b": np.array([1])})
     with pytest.raises(InputError, match=r'cannot name the node set "a,b"; write a .vtu file'):

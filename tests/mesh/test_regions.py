@@ -132,7 +132,7 @@ def test_a_slit_that_does_not_touch_is_simple() -> None:
 
 
 @pytest.mark.parametrize("hole", [
-    {"circles": [((100.0, 60.0), 30.0)]}, {"circles": [((300.0, 60.0), 30.0)]},
+    {"circles": [((100.0, 60.0), 30.0)]}, {"circles": [((300.0, 60.0), 30.0)]}, {"circles": [((100.0, 100.0), 1e300)]},
     {"polygons": [np.array([(90, 90), (110, 90), (110, 200), (90, 200)], float)]},
 ])
 def test_holes_that_leave_a_circle_are_refused(hole: dict[str, Any]) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from bokeh.events import DoubleTap
-from bokeh.models import CheckboxGroup, MultiLine, Plot, PointDrawTool, Segment
+from bokeh.events import ButtonClick, DoubleTap
+from bokeh.models import Button, CheckboxGroup, MultiLine, Plot, PointDrawTool, Segment
 
 from ddic.case.loader import load_case
 from ddic.errors import InputError
@@ -399,6 +399,26 @@ def test_deformed_images_are_named(open_draw: OpenDraw, folder: Path) -> None:
     # A case that is known to be wrong is not run.
     tab.press("Run")
     assert not (folder / "case.toml").exists()
+
+
+def test_what_is_being_checked_is_not_run(open_draw: OpenDraw, folder: Path) -> None:
+    tab = open_draw()
+    text_area(tab, folder).value = case_text("# changed")
+    # The check waits beside the page.
+    button = tab.find(Button, label="Run")
+    button._trigger_event(ButtonClick(button))
+    assert "is being checked; run it in a moment" in tab.texts()
+    assert not (folder / "case.toml").exists()
+
+
+def test_boxes_say_what_the_text_says(open_draw: OpenDraw, folder: Path) -> None:
+    tab = open_draw()
+    text_area(tab, folder).value = "broken ["
+    tab.settle()
+    for title, typed, said in ((SIZE, 33, 16), (DEFORMED, "other.tif", "g.tif")):
+        tab.enter(title, typed)
+        assert tab.widget(title).value == said
+        assert "not valid TOML; correct the text first" in problems(tab)
 
 
 def test_shapes_are_removed(open_draw: OpenDraw, folder: Path) -> None:

@@ -67,11 +67,27 @@ def test_bounds_are_not_reached_by_what_lies_below_them() -> None:
     assert choose_verdict(Evidence(1000, 0, [marked(HELD_OFF, 50)])).word == LOOK
 
 
-def test_cells_that_are_masked_speak_against_nothing() -> None:
-    assert choose_verdict(Evidence(1000, 600, [marked(MASKED, 600)], shown_share=0.4)).word == TRUST
-    # Of the 400 others.
-    assert choose_verdict(Evidence(1000, 801, [marked(MASKED, 600), marked(BLANK, 201)])).word == DISTRUST
-    assert choose_verdict(Evidence(1000, 600, [marked(MASKED, 600)], shown_share=0.19)).word == DISTRUST
+def test_a_tenth_of_the_cells_may_be_masked() -> None:
+    assert choose_verdict(Evidence(1000, 100, [marked(MASKED, 100)], shown_share=0.9)).word == TRUST
+    much = choose_verdict(Evidence(1000, 101, [marked(MASKED, 101)], shown_share=0.899))
+    assert much.word == LOOK
+    assert "101 of 1000 cells hold no pixel of the reference image that counts" in much.reasons[0]
+    # Who leaves saturated pixels out has not said where.
+    assert choose_verdict(Evidence(1000, 1, [marked(MASKED, 1)], may_be_saturated=True)).word == LOOK
+
+
+@pytest.mark.parametrize(("n_doubtful", "others", "shown_share", "word"), [
+    (600, [], 0.4, LOOK), (801, [marked(BLANK, 201)], 0.4, DISTRUST), (600, [], 0.19, DISTRUST),
+    (600, [marked(HELD_OFF, 21)], 0.4, DISTRUST)])
+def test_of_other_cells_the_shares_are_as_without_a_mask(
+        n_doubtful: int, others: list[MarkedCells], shown_share: float, word: str) -> None:
+    """600 of 1000 are masked: bounds are shares of the 400 others."""
+    assert choose_verdict(Evidence(1000, n_doubtful, [marked(MASKED, 600), *others], shown_share)).word == word
+
+
+def test_a_few_doubtful_ones_of_the_others_are_told() -> None:
+    assert choose_verdict(Evidence(100, 12, [marked(MASKED, 10)])).word == LOOK
+    assert choose_verdict(Evidence(100, 11, [marked(MASKED, 10)])).word == TRUST
 
 
 def test_what_did_not_converge_is_not_trusted_and_says_why() -> None:

@@ -36,6 +36,9 @@ LEAST_TILE = 16
 _CLEAR = 0.9
 """Correlation coefficient at which no further candidate is tried."""
 
+BLANK = 1e-3
+"""Standard deviation of a tile's grey levels below which it shows nothing."""
+
 _STEPS = 6
 """Steps either way in which the ranges of ratio and of rotation are searched; fewer may step over the peak."""
 
@@ -169,6 +172,9 @@ class TileSearch:
         half = (self.side - 1) / 2
         template = self._turned_tile(centre, matrix)
         coefficients = cv2.matchTemplate(self.far, template, cv2.TM_CCOEFF_NORMED)
+        if template.std() < BLANK:
+            # OpenCV takes it for alike everything.
+            coefficients = np.full_like(coefficients, -1.0)
         row, column = np.unravel_index(int(np.argmax(coefficients)), coefficients.shape)
         # The tile's centre, in near px and where it was found in the far image.
         x, y = ((place + 0.5) * scale - 0.5 for place, scale in zip(centre, self.scale, strict=True))

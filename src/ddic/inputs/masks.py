@@ -87,7 +87,7 @@ def draw_mask(shapes: Sequence[Shape], extent: Window, name: str, below: ImageSo
     """Draw the mask of shapes over another one, ``below``, which is the mask where there is no shape.
 
     ``extent`` is the image that they belong to, ``name`` the key that holds them. Raises InputError with a line for
-    each shape that crosses itself, or holds no pixel.
+    each shape that crosses itself, or whose box holds no pixel.
     """
     if not shapes:
         return below

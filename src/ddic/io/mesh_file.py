@@ -150,9 +150,10 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
 
     require_written_format(path)
     file_format, comment = WRITTEN_FORMATS[path.suffix.lower()]
-    odd = [name for name in mesh.node_sets if file_format == "abaqus" and set(name) & set(",=\n")]
+    refused, other = (",=\n", ".vtu") if file_format == "abaqus" else ('&<"\n', ".inp")
+    odd = [name for name in mesh.node_sets if set(name) & set(refused) or name != name.strip()]
     if odd:
-        raise InputError(f'{path}: this format cannot name the node set "{odd[0]}"; write a .vtu file')
+        raise InputError(f'{path}: this format cannot name the node set "{odd[0]}"; write a {other} file, or rename it')
     ends = [*np.flatnonzero(np.diff(mesh.types)) + 1, mesh.n_cells]
     blocks = []
     for start, end in zip([0, *ends], ends, strict=False):

@@ -240,8 +240,11 @@ def build_outside(region: Circle | Polygon, element_size: float) -> OutlinedHole
 
 def require_inside(holes: Sequence[Circle | Polygon], region: Circle | Polygon, step: float, name: str) -> None:
     """Refuse, by an InputError, holes that leave the region, looked at every ``step`` pixels along their outlines."""
+    low, high = np.array(region.box).reshape(2, 2)
     for number, hole in enumerate(holes):
-        if (region.measure_distance(hole.list_points(step)) >= 0).any():
+        # First by their boxes: of a hole without bounds there would be points without end.
+        within = (np.array(hole.box[:2]) >= low).all() and (np.array(hole.box[2:]) <= high).all()
+        if not within or (region.measure_distance(hole.list_points(step)) >= 0).any():
             raise InputError(f"{name}: hole_{number} leaves the region; move it inside, or draw its notch as part of "
                              f"{name}.region, a polygon")
 

@@ -25,7 +25,7 @@ ON_OUTLINE = 1e-6
 CELLS = {"T3": {"Mesh.Algorithm": 6, "Mesh.RecombineAll": 0},
          "Q4": {"Mesh.Algorithm": 8, "Mesh.RecombineAll": 1, "Mesh.RecombinationAlgorithm": 2}}
 """gmsh's options for each type of cell: frontal Delaunay; the same for quadrilaterals, joined, subdivided and smoothed,
-which leaves no triangle and keeps corners away from 0 and 180 degrees."""
+which leaves hardly a triangle and flat corners beside holes of the elements' size alone."""
 
 OF_GMSH = {2: T3, 3: Q4}
 """Cell types by gmsh's numbers."""
@@ -96,8 +96,8 @@ def _started_gmsh() -> Iterator[Any]:
     # gmsh raises nothing more special.
     except Exception as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"{NAME}: gmsh cannot mesh the region ({reason}); simplify its outline, or use other "
-                         "elements") from error
+        raise InputError(f"{NAME}: gmsh cannot mesh the region ({reason}); simplify its outline, or use smaller "
+                         "elements, or cell = \"T3\"") from error
     finally:
         gmsh.finalize()
 

@@ -63,29 +63,29 @@ from ddic.visibility.cell_errors import (
     describe_places,
     find_cell_errors,
 )
-from ddic.visibility.exclusions import KEPT, UNSEEN
+from ddic.visibility.exclusions import KEPT, MASKED, UNSEEN
 
 Rows = tuple[range, NDArray[np.float32]]
 
 
 @dataclass(frozen=True, eq=False)
 class _OutputCells:
-    """Cells between some lines, row by row, and the RMS of their residual, grey levels, nan where no pixel counts."""
+    """Cells between some lines, row by row; KEPT or why not; RMS of the residual, grey levels, nan without pixels."""
 
     grid: GridLines
+    states: NDArray[np.uint8]
     n_pixels: Array
     residual_rms: Array
     errors: CellErrors
     notes: tuple[str, ...]
 
-    def weigh(self, residual: float) -> Evidence:
+    def weigh(self, residual: float, *, may_be_saturated: bool) -> Evidence:
         """Say what speaks for or against a field that leaves a residual, its deviation over the dynamic range."""
-        unseen = self.n_pixels == 0
-        n_unseen = int(unseen.sum())
-        marked = []
-        if n_unseen:
-            marked.append(MarkedCells(UNSEEN, n_unseen, describe_places(*bound_cells(self.grid.build_mesh(), unseen))))
-        return Evidence(len(unseen), int(self.errors.doubtful.sum()), marked, residual=residual)
+        marked = [MarkedCells(state, int((self.states == state).sum()),
+                              describe_places(*bound_cells(self.grid.build_mesh(), self.states == state)))
+                  for state in np.unique(self.states[self.states != KEPT]).tolist()]
+        return Evidence(len(self.states), int(self.errors.doubtful.sum()), marked, residual=residual,
+                        may_be_saturated=may_be_saturated)
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
         """Evaluate a displacement at their nodes, (n_nodes, 2), row by row, pixels."""
@@ -101,8 +101,8 @@ def _evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBand
     """
     along_x, along_y = LineElements(grid.x), LineElements(grid.y)
     sums = team.sum(sum((_sum_band(along_x, along_y, reference, number, rows) for number, rows in enumerate(residual)),
-                        np.zeros((4, along_y.n_nodes - 1, along_x.n_nodes - 1))))
-    n, r, rr, slopes = sums.reshape(4, -1)
+                        np.zeros((5, along_y.n_nodes - 1, along_x.n_nodes - 1))))
+    n, r, rr, slopes, n_in_reference = sums.reshape(5, -1)
     safe = np.maximum(n, 1.0)
     # The mean of a cell's residual is brightness, not displacement.
     variance = np.where(n > 0, np.maximum(rr / safe - (r / safe) ** 2, 0.0), np.nan)
@@ -110,12 +110,13 @@ def _evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBand
     errors = find_cell_errors(team, [residuals] if team.is_root else [])
     notes, _ = describe_doubtful_cells(team, errors)
     rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
-    return _OutputCells(grid, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
+    states = np.select([n > 0, n_in_reference > 0], [KEPT, UNSEEN], MASKED).astype(np.uint8)
+    return _OutputCells(grid, states, n, rms, team.broadcast(errors[0] if team.is_root else None), notes)
 
 
 def _sum_band(along_x: LineElements, along_y: LineElements, reference: ReferenceBands, number: int,
               rows: Rows) -> Array:
-    """Sums over the pixels of a band of (1, r, r^2, |grad f|^2) in each cell, (4, n_rows, n_columns)."""
+    """Sums over the pixels of a band of (1, r, r^2, |grad f|^2, 1 in the reference), (5, n_rows, n_columns)."""
     band, r = reference.bands[number], rows[1].astype(np.float64)
     counts = np.isfinite(r)
     r[~counts] = 0.0
@@ -123,8 +124,9 @@ def _sum_band(along_x: LineElements, along_y: LineElements, reference: Reference
     starts = np.searchsorted(np.arange(reference.along_x.pixels.start, reference.along_x.pixels.stop),
                              along_x.nodes[:-1])
     places = np.searchsorted(along_y.nodes, np.array(rows[0]), side="right") - 1
-    sums = np.zeros((4, along_y.n_nodes - 1, along_x.n_nodes - 1))
-    for k, image in enumerate((counts.astype(np.float64), r, r**2, slopes)):
+    sums = np.zeros((5, along_y.n_nodes - 1, along_x.n_nodes - 1))
+    in_reference = np.isfinite(band.values)
+    for k, image in enumerate((counts.astype(np.float64), r, r**2, slopes, in_reference.astype(np.float64))):
         np.add.at(sums[k], np.clip(places, 0, along_y.n_nodes - 2), np.add.reduceat(image, starts, axis=1))
     return sums
 
@@ -158,7 +160,7 @@ def _describe_cells(mesh: Mesh, cells: _OutputCells, displacement: Array) -> dic
         schema.RESIDUAL_N_PIXELS: cells.n_pixels.astype(np.int64),
         schema.EQUIVALENT_ERROR: cells.errors.equivalent,
         schema.DOUBTFUL: cells.errors.doubtful.astype(np.uint8),
-        schema.EXCLUDED: np.where(cells.n_pixels > 0, KEPT, UNSEEN).astype(np.uint8),
+        schema.EXCLUDED: cells.states,
         schema.SUBDOMAIN_ID: np.zeros(mesh.n_cells, dtype=np.int32),
         schema.GLOBAL_CELL_ID: np.arange(mesh.n_cells),
     }
@@ -218,7 +220,8 @@ class SeparatedMeasurement:
     def verdict(self) -> Verdict:
         """Whether the displacement can be trusted."""
         residual = self.solution.grey.residual_std / (self.size.dynamic_range or 1.0)
-        return choose_verdict(self.cells.weigh(residual), self.failure)
+        evidence = self.cells.weigh(residual, may_be_saturated=self.inputs.case.images.exclude_saturated)
+        return choose_verdict(evidence, self.failure)
 
     @property
     def unknowns(self) -> SeparatedField:

@@ -33,6 +33,7 @@ from tomlkit.exceptions import TOMLKitError
 from ddic.case.loader import load_text_leniently
 from ddic.errors import InputError
 from ddic.io.result_schema import not_converged_path
+from ddic.mesh.grid import GridLines
 from ddic.page.case_run import RunBox
 from ddic.page.case_text import (
     BY_GMSH,
@@ -95,7 +96,8 @@ class _DrawPage:
         self._file, self._probes_file = CaseFile(drawn.path), CaseFile(drawn.path.with_suffix(PROBES))
         self._undone: list[tuple[TextAreaInput, str]] = []
         self._worker = ThreadPoolExecutor(1)
-        self._n_asked = 0
+        # Checks, by number: of the text as it is, and the one that is shown.
+        self._n_asked, self._n_shown = 0, 0
         self.pane = ImagePane(drawn.image, [self._draw])
         # What the text says, or said before it was broken.
         self._data: dict[str, Any] = {}
@@ -245,14 +247,21 @@ class _DrawPage:
     def _choose_mesh(self, name: str) -> None:
         if name != find_mesh(self._data):
             self._change(lambda text: set_mesh(text, name))
-            # Where the text could not be changed.
-            self.mesh.value = find_mesh(self._data)
 
     def _change(self, change: Callable[[str], str]) -> None:
         try:
             self.text.value = change(self.text.value)
         except (InputError, TOMLKitError) as error:
-            self._tell([f"{self._drawn.path}: {error}"])
+            self._show_keys()
+            why = error if isinstance(error, InputError) else "not valid TOML; correct the text first"
+            self._tell([f"{self._drawn.path}: {why}"])
+
+    def _show_keys(self) -> None:
+        """Show in the boxes what the text says."""
+        self.deformed.value = list_deformed(self._data)
+        self.mesh.value = find_mesh(self._data)
+        self.element_size.value = _find_number(self._data, (*MESH, "element_size"))
+        self.wavelength.value = _find_number(self._data, ("regularization", "cut_off_wavelength"))
 
     def _follow_text(self) -> None:
         """Draw what the text says, and have it checked; of texts that follow one another fast, the last one."""
@@ -267,10 +276,7 @@ class _DrawPage:
         if self.chosen.value not in self._shapes:
             self.chosen.value = next(iter(self._shapes), "")
         self._show_numbers()
-        self.deformed.value = list_deformed(self._data)
-        self.mesh.value = find_mesh(self._data)
-        self.element_size.value = _find_number(self._data, (*MESH, "element_size"))
-        self.wavelength.value = _find_number(self._data, ("regularization", "cut_off_wavelength"))
+        self._show_keys()
         self._n_asked += 1
         self._worker.submit(self._check, self._n_asked, text)
 
@@ -281,12 +287,14 @@ class _DrawPage:
                 checked = check_text(text, self._drawn)
             except Exception as error:
                 checked = Checked(None, None, None, [f"{type(error).__name__}: {error}"])
-            self._document.add_next_tick_callback(partial(self._show_checked, checked))
+            self._document.add_next_tick_callback(partial(self._show_checked, number, checked))
 
     # What was found is shown.
 
-    def _show_checked(self, checked: Checked) -> None:
-        self._checked = checked
+    def _show_checked(self, number: int, checked: Checked) -> None:
+        if number != self._n_asked:
+            return
+        self._n_shown, self._checked = number, checked
         self._outline = find_mask_outline(checked.loaded, self._drawn.image)
         self._show_wavelength()
         self.pane.draw()
@@ -310,7 +318,7 @@ class _DrawPage:
         if mesh is None or wavelength is None:
             self._wave.data = {"x": [], "y": [], "x1": [], "text": []}
             return
-        x, y = mesh.nodes.min(axis=0).tolist()
+        x, y = mesh.box[:2] if isinstance(mesh, GridLines) else mesh.nodes.min(axis=0).tolist()
         self._wave.data = {"x": [x], "y": [y], "x1": [x + wavelength], "text": [f"l_c = {wavelength:g} px"]}
 
     def _get_shown(self) -> list[str]:
@@ -365,7 +373,10 @@ class _DrawPage:
         return True
 
     def _write_to_run(self) -> bool:
-        """Write the files of a case that is not known to be wrong; return whether they hold the texts."""
+        """Write the files of a case in which nothing is known to be wrong; return whether they hold the texts."""
+        if self._n_shown != self._n_asked:
+            self._tell(["the case is being checked; run it in a moment"])
+            return False
         return not self._checked.problems and self._write()
 
     def _open_result(self) -> None:

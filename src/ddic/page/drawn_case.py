@@ -14,7 +14,7 @@ import numpy as np
 
 from ddic.arrays import Array, IntArray
 from ddic.case.loader import LoadedCase, load_text_leniently
-from ddic.case.schema import Case
+from ddic.case.schema import Case, MeshSection
 from ddic.check.case import CheckReport, build_checked_mesh, check_case, describe_pattern
 from ddic.check.pattern import Pattern, choose_region, find_pattern
 from ddic.check.starter import write_starter_case
@@ -136,17 +136,21 @@ def _check_text(text: str, drawn: DrawnCase) -> Checked:
 
 
 def estimate_cells(case: Case) -> int:
-    """Estimate the cells of the mesh that would be built as a whole for a case, from above where it has holes.
+    """Estimate the cells of the meshes that would be built as a whole for a case, from above where they have holes.
 
     Raises InputError where no mesh has as many.
     """
-    section, file = case.mesh.structured or case.mesh.unstructured, case.mesh.file
-    if file is not None:
-        return file.stat().st_size // BYTES_OF_CELL if file.is_file() else 0
-    if section is None or is_plain_grid(case):
+    if is_plain_grid(case):
         return 0
-    n_columns, n_rows = count_cells(section.box, section.element_size, case.mesh.name)
-    return n_columns * n_rows * (1 if section.cell == "Q4" else 2)
+    return sum(_estimate_cells(mesh) for mesh in (case.mesh, *(near.mesh for near in case.near)) if mesh is not None)
+
+
+def _estimate_cells(mesh: MeshSection) -> int:
+    section = mesh.structured or mesh.unstructured
+    if section is not None:
+        n_columns, n_rows = count_cells(section.box, section.element_size, mesh.name)
+        return n_columns * n_rows * (1 if section.cell == "Q4" else 2)
+    return mesh.file.stat().st_size // BYTES_OF_CELL if mesh.file is not None and mesh.file.is_file() else 0
 
 
 def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ()) -> DrawnCase:

@@ -29,6 +29,9 @@ MOST_HELD = 0.05
 """Share of the cells held off by the regularization above which a field is not trusted: what mechanics hold of a clean
 pair is less, and a crack that they smear is more."""
 
+MOST_MASKED = 0.1
+"""Share of the cells that may lie under a mask of the reference image without a word: the field there is a guess."""
+
 LEAST_SHOWN = 0.5
 """Share of the cells that must be seen where the field puts them, whatever is excluded."""
 
@@ -44,6 +47,8 @@ REMEDIES = {
            "columns first), or mask what bears none",
     SPOILT: "show something else than the reference: look there for what hides the specimen, a reflection, or damage",
     UNSEEN: "hold too few pixels that both images show: the specimen leaves the image there, or something hides it",
+    MASKED: "hold no pixel of the reference image that counts, masked or saturated: the field there is a guess; draw "
+            "the region without them",
     HELD_OFF: "are held by the regularization beside where the images show them: a shorter "
               "regularization.cut_off_wavelength follows them",
 }
@@ -65,6 +70,8 @@ class Evidence:
         Whether what shows something else parts the mesh in two.
     residual : float
         Its standard deviation over the dynamic range.
+    may_be_saturated : bool
+        Whether pixels of the reference image are left out that nobody has masked.
     """
 
     n_cells: int
@@ -73,6 +80,21 @@ class Evidence:
     shown_share: float = 1.0
     is_torn: bool = False
     residual: float = 1.0
+    may_be_saturated: bool = False
+
+    def count(self, state: int) -> int:
+        """Count the cells that are marked by a state."""
+        return sum(marked.n_cells for marked in self.marked if marked.state == state)
+
+    @property
+    def n_meant(self) -> int:
+        """Cells under a mask, which speak against nothing; none where they may be saturated."""
+        return 0 if self.may_be_saturated else self.count(MASKED)
+
+    @property
+    def n_rest(self) -> int:
+        """Cells that a frame could show."""
+        return self.n_cells - self.n_meant
 
 
 def choose_verdict(evidence: Evidence, failure: str = "") -> Verdict:
@@ -87,12 +109,9 @@ def choose_verdict(evidence: Evidence, failure: str = "") -> Verdict:
 
 def _list_grave(evidence: Evidence) -> list[str]:
     """Why a field is not trusted at all."""
-    n_cells, reasons = evidence.n_cells, []
-    n_held, n_masked = (sum(marked.n_cells for marked in evidence.marked if marked.state == state)
-                        for state in (HELD_OFF, MASKED))
-    # Of the cells that a frame could show.
-    n_lost, n_rest = evidence.n_doubtful - n_masked, n_cells - n_masked
-    shown_share = evidence.shown_share * n_cells / max(n_rest, 1)
+    n_rest, reasons = evidence.n_rest, []
+    n_held, n_lost = evidence.count(HELD_OFF), evidence.n_doubtful - evidence.n_meant
+    shown_share = evidence.shown_share * evidence.n_cells / max(n_rest, 1)
     if n_lost > MOST_LOST * n_rest:
         reasons.append(f"{n_lost / n_rest:.0%} of the cells are excluded or doubtful")
     if shown_share < LEAST_SHOWN:
@@ -100,19 +119,20 @@ def _list_grave(evidence: Evidence) -> list[str]:
     if evidence.is_torn:
         reasons.append("what shows something else runs through the whole mesh and parts it: if it is a crack, measure "
                        "it as a [[discontinuity]]; strains across it are not the specimen's")
-    if n_held > MOST_HELD * n_cells:
-        reasons.append(f"the regularization holds {n_held / n_cells:.0%} of the cells off what the images show")
+    if n_held > MOST_HELD * n_rest:
+        reasons.append(f"the regularization holds {n_held / n_rest:.0%} of the cells off what the images show")
     return reasons
 
 
 def _list_places(evidence: Evidence) -> list[str]:
     """What to look at, and where."""
     n_cells = evidence.n_cells
+    is_meant = 0 < evidence.n_meant <= MOST_MASKED * n_cells
     reasons = [f"{marked.n_cells} of {n_cells} cells {REMEDIES[marked.state]} ({marked.places})"
-               for marked in evidence.marked if marked.state != MASKED]
+               for marked in evidence.marked if marked.state != MASKED or not is_meant]
     n_excluded = sum(marked.n_cells for marked in evidence.marked if marked.state != HELD_OFF)
     n_doubtful = evidence.n_doubtful - n_excluded
-    if n_doubtful > FEW_DOUBTFUL * n_cells:
+    if n_doubtful > FEW_DOUBTFUL * evidence.n_rest:
         reasons.append(f"{n_doubtful} of {n_cells} cells count but are doubtful (cell field \"doubtful\"): noise or "
                        "a wrong displacement; try larger elements or a longer regularization.cut_off_wavelength")
     if evidence.residual < SAME_IMAGE:

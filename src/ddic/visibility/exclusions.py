@@ -106,8 +106,8 @@ class Exclusions:
 
     @classmethod
     def nothing(cls, views: ByView[FrameView]) -> Exclusions:
-        """Exclude nothing of owned subdomains."""
-        return cls(views.map(lambda view: np.full(view.correlation.mesh.n_cells, KEPT, dtype=np.uint8)),
+        """Exclude nothing of owned subdomains but cells that the reference image masks."""
+        return cls(views.map(lambda view: np.where(find_masked(view), MASKED, KEPT).astype(np.uint8)),
                    views.map(lambda _: np.zeros((0, 2), dtype=np.int64)), views.map(lambda _: HeldCells.none()))
 
     def is_any(self, team: Team) -> bool:
@@ -154,6 +154,16 @@ class Exclusions:
         n_pixels = sum(len(spots) for spots in self.pixels.flat)
         n_cells, n_changed, n_pixels = team.sum(np.array([n_cells, n_changed, n_pixels], dtype=float))
         return bool(n_cells > 0 or n_changed > PIXELS_CHANGED * max(n_pixels, 1.0))
+
+
+def find_masked(view: FrameView) -> BoolArray:
+    """Find the cells of a view, (n_cells,), of which no pixel of the reference image counts."""
+    is_masked = view.count_pixels() == 0
+    parts = view.correlation.mesh.parts
+    if parts is not None:
+        # What lies wholly in the band of a line nothing hides: it follows its neighbours.
+        is_masked[parts.cells] = False
+    return np.asarray(is_masked)
 
 
 def find_excluded(states: NDArray[np.uint8]) -> BoolArray:
@@ -265,11 +275,8 @@ def _judge_by_pixels(seen: _SeenView, rules: Rules) -> NDArray[np.uint8]:
     least = 0.0 if rules.is_regularized else LEAST_SHOWN
     n_in_reference = seen.view.count_pixels()
     is_unseen = (cells.n_pixels == 0) | (cells.n_pixels < least * n_in_reference)
-    parts = seen.view.correlation.mesh.parts
-    if parts is not None:
-        # Of what lies wholly in the band of a line the frame hides nothing: it follows its neighbours.
-        is_unseen[parts.cells] &= n_in_reference[parts.cells] > 0
-    states[is_unseen] = np.where(n_in_reference[is_unseen] > 0, UNSEEN, MASKED)
+    states[is_unseen & (n_in_reference > 0)] = UNSEEN
+    states[find_masked(seen.view)] = MASKED
     return states
 
 
