@@ -25,8 +25,10 @@ OPEN: dict[tuple[str, str], str] = {
         "a dark hole: four cells at its edge are excluded otherwise, and 8 of 110,568 nodes beside them differ by up "
         "to 0.006 px, as much as they are off the truth; standard deviations are not estimated there",
     ("house", "source"):
-        "two of sixteen: formulas of numpy on lines of 120 characters are dense, where models break theirs at 80 to "
-        "100; and 2,690 import lines in 27,366 are 9.8 %, since files that were joined took 8 imports each along",
+        "four of sixteen: 31,832 lines of code and 12,800 of docstrings, where 31,000 and 12,500 were given: pages, "
+        "regions by polygons and gmsh, masks, verdicts and starter cases took 3,388 in place of 2,500, and three looks "
+        "through it found hardly anything unused or written twice; formulas of numpy on lines of 120 characters are "
+        "dense, where models break theirs at 80 to 100; 10.3 % are imports: files that were joined took 8 each along",
     ("impressions", "auto"):
         "one of 15: 4,000 px at l_c = 256 px takes one MUMPS factor, 1.29 times the CPU of the dual method with many "
         "subdomains, whose set-up has become cheaper than the fitted costs say",
