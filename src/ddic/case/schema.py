@@ -211,7 +211,7 @@ class MeshedSection(Section):
         x0, y0, x1, y1 = self.box
         if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
             yield (f"region must hold at least one element of element_size: its box is {x1 - x0:g} x {y1 - y0:g} px; "
-                   "give x0 < x1 and y0 < y1, or smaller elements")
+                   "give [x0, y0, x1, y1], the lesser corner first, or smaller elements")
 
 
 class StructuredSection(MeshedSection):
