@@ -68,8 +68,7 @@ _PUBLIC = {
 _HOMES = {name: home for home, names in _PUBLIC.items() for name in names}
 
 _NAMED_THERE = {"draw": "draw_case", "open": "read_result", "open_series": "read_series",
-                "structured_mesh": "build_structured_mesh",
-                "unstructured_mesh": "build_unstructured_mesh"}
+                "structured_mesh": "build_structured_mesh", "unstructured_mesh": "build_unstructured_mesh"}
 """What names are called at home, where they differ."""
 
 __all__ = [
@@ -80,8 +79,7 @@ __all__ = [
     "choose_regularization", "draw", "estimate_metrology", "estimate_uncertainty", "find_crack_tip", "load_case",
     "load_probes", "make_synthetic_pair", "measure", "measure_opening", "measure_probe", "measure_probes", "open",
     "open_series", "prepare", "structured_mesh", "unstructured_mesh", "view_results", "write_field_tables",
-    "write_probe_table",
-    "write_report",
+    "write_probe_table", "write_report",
 ]
 
 

@@ -48,7 +48,7 @@ def hold(model: ResidualModel, u_seen: Array, cells: NDArray[np.int64] = HELD) -
     states = np.zeros(mesh.n_cells, dtype=np.uint8)
     states[cells] = HELD_OFF
     pulled = HeldCells(cells, u_seen.reshape(-1, 2)[pad_cells(mesh)[cells]])
-    return replace(Exclusions.nothing(model.views), cells=ByView([[states]]), pulled=ByView([[pulled]]))
+    return replace(Exclusions.of_reference(model.views), cells=ByView([[states]]), pulled=ByView([[pulled]]))
 
 
 def pull(model: ResidualModel, excluded: Exclusions, q: Array, at: Array) -> Array:
@@ -113,7 +113,7 @@ def test_the_other_cells_pull_as_if_these_had_no_pixels() -> None:
     (found,), grey = pull_held_cells(model, excluded, field_of(model, [q])).linearize(field_of(model, [q]))
     states = np.zeros(16, dtype=np.uint8)
     states[HELD] = SPOILT
-    others = exclude(model, replace(Exclusions.nothing(model.views), cells=ByView([[states]])))
+    others = exclude(model, replace(Exclusions.of_reference(model.views), cells=ByView([[states]])))
     (expected,), of_others = others.linearize(field_of(model, [q]))
     forces = pull(model, excluded, q, q)
     np.testing.assert_allclose(found, expected + forces, atol=1e-9 * np.abs(found).max())
@@ -140,7 +140,7 @@ def test_cells_pull_until_the_field_is_near_where_they_were_seen() -> None:
     model, before = build(), np.tile([4.0, 0.0], MESH.n_nodes)
     once = hold(model, before)
     for distance, left in ((1.1 * RELEASED, HELD.tolist()), (0.9 * RELEASED, []), (CAPTURED, HELD.tolist())):
-        now = Exclusions.nothing(model.views)
+        now = Exclusions.of_reference(model.views)
         (held,), = now.keep_pulled(once, model, field_of(model, [before - distance * X])).pulled
         assert held.cells.tolist() == left
     # What is seen again is so where it is seen now.
@@ -152,7 +152,7 @@ def test_cells_pull_until_the_field_is_near_where_they_were_seen() -> None:
 def test_nothing_pulls_where_nothing_is_held_off() -> None:
     model = build()
     at_rest = field_of(model, [np.zeros(MESH.n_dofs)])
-    assert pull_held_cells(model, Exclusions.nothing(model.views), at_rest).pulled is None
+    assert pull_held_cells(model, Exclusions.of_reference(model.views), at_rest).pulled is None
 
 
 @pytest.mark.parallel([1, 3])
@@ -166,7 +166,7 @@ def test_subdomains_pull_together_as_the_whole_does() -> None:
     of_own = [u_seen.reshape(-1, 2)[subdomain.node_ids].ravel() for subdomain in own]
     seen = [(HeldCells(chosen, u.reshape(-1, 2)[pad_cells(subdomain.mesh)[chosen]]),)
             for subdomain, u, chosen in zip(own, of_own, cells, strict=True)]
-    excluded = replace(Exclusions.nothing(model.views), pulled=ByView(seen))
+    excluded = replace(Exclusions.of_reference(model.views), pulled=ByView(seen))
     q_own = field_of(model, [q.reshape(-1, 2)[subdomain.node_ids].ravel() for subdomain in own])
     # A rank of whose subdomains nothing is held off takes part.
     pulled = pull_held_cells(model, excluded, q_own).pulled

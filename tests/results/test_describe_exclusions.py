@@ -29,7 +29,7 @@ def describe(states: dict[int, int], pixels: int = 0, mesh: Mesh = MESH) -> tupl
     for cell, state in states.items():
         cells[cell] = state
     spots = np.stack([30 + np.arange(pixels), np.full(pixels, 30)], axis=1).astype(np.int64)
-    excluded = replace(Exclusions.nothing(model.views), cells=ByView([[cells]]), pixels=ByView([[spots]]))
+    excluded = replace(Exclusions.of_reference(model.views), cells=ByView([[cells]]), pixels=ByView([[spots]]))
     marked = find_marked_cells(Team.alone(), model.subdomains, excluded)
     return describe_exclusions(Team.alone(), marked, mesh.n_cells, excluded)
 

@@ -114,7 +114,7 @@ def is_torn(team: Team, states: dict[tuple[int, int], int]) -> bool:
     for subdomain in model.subdomains:
         columns, rows = np.floor((subdomain.mesh.centroids - 32.0) / 16.0).astype(int).T.tolist()
         cells.append([np.array([states.get(place, 0) for place in zip(columns, rows, strict=True)], np.uint8)])
-    excluded = replace(Exclusions.nothing(model.views), cells=ByView(cells))
+    excluded = replace(Exclusions.of_reference(model.views), cells=ByView(cells))
     return find_tear(team, model.subdomains, excluded)
 
 

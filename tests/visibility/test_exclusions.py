@@ -53,7 +53,7 @@ def test_joining_keeps_the_first_reason_and_each_pixel_once() -> None:
 
 def test_nothing_is_nothing_and_anything_is_something() -> None:
     model = model_of(source(PAIR.reference), source(PAIR.deformed), MESH)
-    nothing = Exclusions.nothing(model.views)
+    nothing = Exclusions.of_reference(model.views)
     assert not nothing.is_any(ALONE)
     assert exclusions({3: BLANK}).is_any(ALONE)
     assert exclusions(None, [(30, 30)]).is_any(ALONE)

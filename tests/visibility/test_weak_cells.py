@@ -35,7 +35,7 @@ def model_of(team: Team, blocks: tuple[int, int]) -> ResidualModel:
 def cut(model: ResidualModel, states: NDArray[np.uint8], pixels: NDArray[np.int64]) -> Exclusions:
     """What is excluded of the whole mesh, by subdomain; pixels : (n, 2) in cells that are kept."""
     cells, spots = [], []
-    nothing = Exclusions.nothing(model.views)
+    nothing = Exclusions.of_reference(model.views)
     for s in model.subdomains:
         cells.append((states[s.cell_ids].copy(),))
         low, high = s.mesh.nodes.min(axis=0), s.mesh.nodes.max(axis=0)
@@ -105,5 +105,5 @@ def test_the_oracle_finds_something_beside_and_nothing_far_off() -> None:
 
 def test_nothing_is_weak_where_nothing_is_excluded() -> None:
     model = model_of(Team.alone(), (2, 2))
-    excluded = exclude_weak_cells(model, Exclusions.nothing(model.views))
+    excluded = exclude_weak_cells(model, Exclusions.of_reference(model.views))
     assert not excluded.is_any(Team.alone())

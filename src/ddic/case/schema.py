@@ -88,6 +88,11 @@ class ShapeSection(Section):
     radius: PositivePixels | None = None
     """Its radius."""
 
+    @property
+    def region(self) -> Any:
+        """As functions that mesh a region take it: centre and radius, or the vertices."""
+        return (self.center, self.radius) if self.vertices is None else self.vertices
+
     def _list_contradictions(self) -> Iterator[str]:
         is_circle = (self.center is not None, self.radius is not None)
         if is_circle not in ((False, False), (True, True)) or all(is_circle) == (self.vertices is not None):

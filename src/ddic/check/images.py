@@ -24,7 +24,7 @@ from ddic.images.grey_levels import (
 )
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.inputs.cameras import Camera, find_image_corners
+from ddic.inputs.cameras import Camera
 from ddic.inputs.masks import draw_mask, exclude_from_reference
 from ddic.inputs.mesh_source import check_weight_fits
 from ddic.io.image_file import ImageFile, hold_image, open_mask
@@ -215,7 +215,7 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
     """
     far_path = far.reference.image.path
     place = f"{near.entry}: {near.reference.image.path}"
-    seen = _bound(near.setup.mapping.to_specimen(find_image_corners(near.reference.image)))
+    seen = _bound(near.setup.mapping.to_specimen(near.reference.extent.corners))
     common = seen.intersection(far.reference.extent)
     if common.width < 2 or common.height < 2:
         raise InputError(f"{place} lies outside the far-field image {far_path} by its mapping (columns {seen.x0} "

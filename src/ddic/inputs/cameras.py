@@ -117,17 +117,11 @@ def _make_setup(mapping: CameraMapping, reference: MaskedSource, motion: MotionK
 
     ``mapping`` leads from the specimen's frame to the camera's pixels, ``motion`` is how the set-up may move.
     """
-    corners = find_image_corners(reference.image)
+    corners = reference.image.extent.corners
     seen = mapping.to_specimen(corners)
     centre = mapping.to_specimen(corners.mean(axis=0, keepdims=True))[0]
     farthest = float(np.linalg.norm(seen - centre, axis=1).max())
     return CameraSetup(mapping, motion, centre, farthest)
-
-
-def find_image_corners(image: ImageSource) -> Array:
-    """Find the centres of the pixels at an image's corners, (4, 2), around it."""
-    right, bottom = image.width - 1.0, image.height - 1.0
-    return np.array([[0.0, 0.0], [right, 0.0], [right, bottom], [0.0, bottom]])
 
 
 def _mapping(section: NearSection, far: ImageSource, near: ImageSource) -> CameraMapping:

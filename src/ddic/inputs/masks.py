@@ -13,7 +13,7 @@ from ddic.images.grey_levels import find_saturation
 from ddic.images.source import ImageSource, SizedImage
 from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
-from ddic.mesh.holes import Circle, Polygon, convert_polygon
+from ddic.mesh.holes import Circle, Polygon, convert_region
 
 Opener = Callable[[Path], ImageSource]
 """Opens an image file."""
@@ -103,11 +103,11 @@ def draw_mask(shapes: Sequence[Shape], extent: Window, name: str, below: ImageSo
 
 
 def _convert(shape: Shape, name: str) -> Circle | Polygon:
-    if not isinstance(shape, ShapeSection):
-        x0, y0, x1, y1 = shape
-        if not (x0 < x1 and y0 < y1):
-            raise InputError(f"{name} = {list(shape)}: expected x0 < x1 and y0 < y1")
-        return Polygon(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
-    if shape.center is not None and shape.radius is not None:
-        return Circle(shape.center, shape.radius)
-    return convert_polygon(np.array(shape.vertices), name)
+    if isinstance(shape, ShapeSection):
+        outline = convert_region(shape.region, name)
+        assert outline is not None
+        return outline
+    x0, y0, x1, y1 = shape
+    if not (x0 < x1 and y0 < y1):
+        raise InputError(f"{name} = {list(shape)}: expected x0 < x1 and y0 < y1")
+    return Polygon.from_box(shape)

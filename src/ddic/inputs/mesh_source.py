@@ -163,12 +163,8 @@ def _unstructured(section: UnstructuredSection) -> Mesh:
 
 def _region(section: MeshedSection) -> RegionLike:
     """The region as functions that mesh it take it."""
-    region = section.region
-    if not isinstance(region, ShapeSection):
-        return region
-    if region.center is not None and region.radius is not None:
-        return region.center, region.radius
-    return np.array(region.vertices)
+    given: RegionLike = section.region.region if isinstance(section.region, ShapeSection) else section.region
+    return given
 
 
 def _list_holes(section: MeshedSection) -> tuple[list[tuple[tuple[float, float], float]], list[Array]]:

@@ -89,6 +89,12 @@ class Polygon:
 
     vertices: Array
 
+    @classmethod
+    def from_box(cls, box: Sequence[float]) -> "Polygon":
+        """The outline of a box x0, y0, x1, y1, pixels."""
+        x0, y0, x1, y1 = box
+        return cls(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=np.float64))
+
     @property
     def box(self) -> Box:
         """The smallest box around it."""
@@ -182,7 +188,7 @@ class OutlinedHole:
 
 
 def convert_region(region: RegionLike, name: str) -> Circle | Polygon | None:
-    """Convert a region to its outline, None where it is a box; ``name`` is what messages call the mesh.
+    """Convert a region to its outline, None where it is a box; ``name`` is what messages call it.
 
     Raises InputError where it is none of these, or a polygon whose sides meet elsewhere than at its vertices.
     """
@@ -195,9 +201,9 @@ def convert_region(region: RegionLike, name: str) -> Circle | Polygon | None:
             return Circle((float(x), float(y)), float(radius))
         polygon = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, IndexError) as error:
-        raise InputError(f"{name}.region: expected (x0, y0, x1, y1), (centre, radius) or vertices (n, 2), finite "
+        raise InputError(f"{name}: expected (x0, y0, x1, y1), (centre, radius) or vertices (n, 2), finite "
                          "numbers of pixels") from error
-    return convert_polygon(polygon, f"{name}.region")
+    return convert_polygon(polygon, name)
 
 
 def convert_polygon(vertices: Array, name: str) -> Polygon:
@@ -232,8 +238,7 @@ def build_outside(region: Circle | Polygon, element_size: float) -> OutlinedHole
     """Build the hole that is all around a region; it has the region's corners between sides that hold an element."""
     x0, y0, x1, y1 = region.box
     away = 2 * max(x1 - x0, y1 - y0)
-    frame = Polygon(np.array([[x0 - away, y0 - away], [x1 + away, y0 - away], [x1 + away, y1 + away],
-                              [x0 - away, y1 + away]]))
+    frame = Polygon.from_box((x0 - away, y0 - away, x1 + away, y1 + away))
     corners = _find_corners(region.vertices, element_size) if isinstance(region, Polygon) else np.zeros((0, 2))
     return OutlinedHole((frame, region), corners)
 

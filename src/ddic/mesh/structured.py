@@ -228,7 +228,7 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
     InputError
         Where an argument is impossible, a hole removes no cell or leaves a region that is no box, or no cell is left.
     """
-    outline = convert_region(region, NAME)
+    outline = convert_region(region, f"{NAME}.region")
     box: Any = region if outline is None else outline.box
     refuse_impossible(box, element_size, cell, NAME)
     if mask is not None and np.ndim(mask) != 2:

@@ -60,12 +60,11 @@ def build_unstructured_mesh(region: RegionLike, element_size: float, cell: Liter
     InputError
         Where an argument is impossible, a hole leaves the region, nothing is left of it, or gmsh is not installed.
     """
-    outline = convert_region(region, NAME)
+    outline = convert_region(region, f"{NAME}.region")
     box: Any = region if outline is None else outline.box
     refuse_impossible(box, element_size, cell, NAME)
     if outline is None:
-        x0, y0, x1, y1 = box
-        outline = Polygon(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=np.float64))
+        outline = Polygon.from_box(box)
     holes = convert_holes(circles, polygons, NAME)
     require_inside(holes, outline, element_size / 4, NAME)
     with _started_gmsh() as gmsh:

@@ -240,7 +240,7 @@ class _DrawPage:
             self._change(lambda text: set_value(text, keys, new))
 
     def _name_deformed(self, typed: str) -> None:
-        if typed != list_deformed(self._data):
+        if typed != format_deformed(self._data):
             names = [name.strip() for name in typed.split(",") if name.strip()]
             self._change(lambda text: set_value(text, DEFORMED, names[0] if len(names) == 1 else names))
 
@@ -258,7 +258,7 @@ class _DrawPage:
 
     def _show_keys(self) -> None:
         """Show in the boxes what the text says."""
-        self.deformed.value = list_deformed(self._data)
+        self.deformed.value = format_deformed(self._data)
         self.mesh.value = find_mesh(self._data)
         self.element_size.value = _find_number(self._data, (*MESH, "element_size"))
         self.wavelength.value = _find_number(self._data, ("regularization", "cut_off_wavelength"))
@@ -395,28 +395,32 @@ class _DrawPage:
         self._tabs.active = 1
 
 
-def list_deformed(data: Mapping[str, Any]) -> str:
-    """List the deformed images of a case as they are typed."""
-    images = data.get(DEFORMED[0])
-    given = images.get(DEFORMED[1], "") if isinstance(images, Mapping) else ""
+def format_deformed(data: Mapping[str, Any]) -> str:
+    """Format the deformed images of a case as they are typed."""
+    given = _look_up(data, DEFORMED, "")
     return ", ".join(map(str, given)) if isinstance(given, list) else str(given)
 
 
 def find_mesh(data: Mapping[str, Any]) -> str:
     """Name the section of the region that is meshed; empty where there is none."""
-    mesh = data.get(MESH[0])
-    name = find_keys(MESH, data)[1]
-    return name if isinstance(mesh, Mapping) and name in mesh else ""
+    keys = find_keys(MESH, data)
+    return keys[1] if _look_up(data, keys, None) is not None else ""
 
 
 def _find_number(data: Any, keys: tuple[str, ...]) -> float | None:
     """A number of a parsed case; None where there is none."""
+    number = _look_up(data, find_keys(keys, data), None)
     try:
-        for key in find_keys(keys, data):
-            data = data[key]
-        return float(data) if isinstance(data, int | float) and not isinstance(data, bool) else None
-    except (KeyError, TypeError, OverflowError):
+        return float(number) if isinstance(number, int | float) and not isinstance(number, bool) else None
+    except OverflowError:
         return None
+
+
+def _look_up(data: Any, keys: tuple[str, ...], nothing: Any) -> Any:
+    """What a parsed case holds under a key; ``nothing`` where it has none."""
+    for key in keys:
+        data = data.get(key, nothing) if isinstance(data, Mapping) else nothing
+    return data
 
 
 def _write_points(shape: Shape) -> str:

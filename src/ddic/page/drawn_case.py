@@ -146,7 +146,7 @@ def estimate_cells(case: Case) -> int:
 
 
 def _estimate_cells(mesh: MeshSection) -> int:
-    section = mesh.structured or mesh.unstructured
+    section = mesh.meshed
     if section is not None:
         n_columns, n_rows = count_cells(section.box, section.element_size, mesh.name)
         return n_columns * n_rows * (1 if section.cell == "Q4" else 2)

@@ -105,8 +105,8 @@ class Exclusions:
     pulled: ByView[HeldCells]
 
     @classmethod
-    def nothing(cls, views: ByView[FrameView]) -> Exclusions:
-        """Exclude nothing of owned subdomains but cells that the reference image masks."""
+    def of_reference(cls, views: ByView[FrameView]) -> Exclusions:
+        """Exclude of owned subdomains what the reference image masks, whatever a frame shows."""
         return cls(views.map(lambda view: np.where(find_masked(view), MASKED, KEPT).astype(np.uint8)),
                    views.map(lambda _: np.zeros((0, 2), dtype=np.int64)), views.map(lambda _: HeldCells.none()))
 

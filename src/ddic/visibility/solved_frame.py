@@ -129,7 +129,7 @@ def _see_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, limits:
     is_shown = whole.views.map(lambda view, cells: (cells.coefficient > SAME_SPECKLE)
                                & ~find_standing_out(cells, corrected[view.camera], SHOWN), seen)
     if case.correlation.spoilt_pixels == "keep":
-        excluded = Exclusions.nothing(whole.views)
+        excluded = Exclusions.of_reference(whole.views)
     else:
         rules = Rules(limits, whole.correction == "element", case.regularization is not None,
                       tuple(line.uncertainty for line in case.discontinuity if line.vertices is not None))
