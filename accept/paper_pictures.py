@@ -134,6 +134,8 @@ def _measure_near_far(folder: Path) -> Case:
     images("near-far", "--size", "400x320", "--ratio", "4", "--radius", "40", "--noise", "2", "--seed", "2",
            folder=case / "images")
     far, near = (str(case / "images" / f"{name}_reference.tif") for name in ("far", "near"))
+    # No command replaces what a case names, such as that of an earlier run.
+    (case / "mapping.toml").unlink(missing_ok=True)
     runs.ddic("calibrate", far, near, "--ratio", "4.2", "--model", "similarity", "--output", str(case / "mapping.toml"))
     text = (ROOT / "examples" / "near_far" / "case.toml").read_text(encoding="utf-8")
     (case / "case.toml").write_text(text, encoding="utf-8")
