@@ -150,7 +150,9 @@ def _of_option(name: str, good: tuple[str, ...], option: click.Option) -> Iterat
     spelt = option.opts[0]
     if spelt == "--help" or option.is_flag:
         return
-    yield _command_trial((name, *good, spelt))
+    # An option of which the value may be left out says what it means then.
+    may_stand_alone = isinstance(option.flag_value, (int, float, str)) and option.flag_value is not False
+    yield _command_trial((name, *good, spelt), "refused or measured" if may_stand_alone else "refused")
     yield _command_trial((name, *good, f"{spelt}s", "1"))
     is_path = isinstance(option.type, click.Path)
     for word in BAD_FILES if is_path else BAD_WORDS:
