@@ -140,7 +140,9 @@ def _can_be_parallel(job: Job) -> bool:
 def _prepare(folder: Path, out: Path, scale: Scale) -> Iterator[Job]:
     """Commands, with older outputs where they write."""
     pair = images("translation", "--size", "128x128", "--seed", "1", folder=folder / "images")
-    ways = {"run": '"{0}/deformed.tif"', "run of a series": '["{0}/deformed.tif", "{0}/reference.tif"]'}
+    # A second frame of its own: one that is the reference image is warned of.
+    shutil.copy(pair / "deformed.tif", pair / "later.tif")
+    ways = {"run": '"{0}/deformed.tif"', "run of a series": '["{0}/deformed.tif", "{0}/later.tif"]'}
     for number, (name, deformed) in enumerate(ways.items()):
         place = out / f"run_{number}"
         place.mkdir()

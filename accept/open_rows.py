@@ -29,9 +29,6 @@ OPEN: dict[tuple[str, str], str] = {
         "regions by polygons and gmsh, masks, verdicts and starter cases took 3,388 in place of 2,500, and three looks "
         "through it found hardly anything unused or written twice; formulas of numpy on lines of 120 characters are "
         "dense, where models break theirs at 80 to 100; 10.3 % are imports: files that were joined took 8 each along",
-    ("impressions", "auto"):
-        "one of 15: 4,000 px at l_c = 256 px takes one MUMPS factor, 1.29 times the CPU of the dual method with many "
-        "subdomains, whose set-up has become cheaper than the fitted costs say",
     ("newcomer", "colours"):
         "strains of openhole and fracture: a stripe of three cells is the strain of some twenty nodes, 1 % of them, by "
         "which the ends at 2 and 98 % move by 5.2 and 10.8 % of their span where tails are long; colours of all other "
