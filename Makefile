@@ -16,9 +16,9 @@ SIZE ?= 22000
 # Each of the many processes would else compile all modules anew, where the environment says so.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install setup page demo test test-programs test-slurm test-hosts lint docs pictures bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
+.PHONY: help install setup page demo test test-programs test-slurm test-hosts lint docs papers pictures bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
-	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer trials smoke clean
+	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer accept-papers trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -68,6 +68,9 @@ lint: setup ## ruff, mypy, docstrings, the import contracts, and the import unde
 
 pictures: $(DOCS_STAMP) ## draw all pictures of the documentation anew, minutes; those that look as before stay
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) scripts/tour_pictures.py
+
+papers: $(BENCH_STAMP) ## draw the four papers' figures and tables beside ours and bring docs/papers.md up to date, minutes (ARGS=bp17_beam: one chapter)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m bench.papers $(ARGS)
 
 docs: $(DOCS_STAMP) ## build the documentation into site/, without a warning
 	$(PYTHON) -m mkdocs build --strict --quiet
@@ -153,6 +156,9 @@ accept-scale: $(BENCH_STAMP) ## measure the table of many ranks and gigapixels, 
 
 accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay for what spoils others (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables clean $(CHECK)
+
+accept-papers: $(BENCH_STAMP) ## measure the table of the four papers' figures, and of lines found by themselves (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables papers $(CHECK)
 
 accept-trust: setup ## measure the table of numbers that hold or are nan where something is off: lines (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables trust $(CHECK)

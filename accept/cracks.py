@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ddic
-from accept.support.opened_pair import MARGIN, Crack, mesh_inside, render_crack
 from accept.support.settings import MONOLITHIC, describe_settings
 from accept.table import Scale
+from bench.support.opened_pair import MARGIN, Crack, mesh_inside, render_crack
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_command, environment, real_data
 from ddic.errors import ConvergenceError

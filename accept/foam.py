@@ -28,8 +28,8 @@ from accept.support.foam_noise import (
     name_pair,
     predict_difference_noise,
 )
-from accept.support.near_far_case import Alone, Pair, alpha_of, calibrate_command, measured_alone
 from accept.table import Scale, runs_name
+from bench.support.near_far_case import Alone, Pair, alpha_of, calibrate_command, measured_alone
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, environment
 from ddic.io.result_reader import Result, read_result

@@ -21,8 +21,8 @@ from accept.support.deformed_pair import (
     measure_deformed,
     render_deformed,
 )
-from accept.support.opened_pair import picture
 from accept.table import Scale
+from bench.support.opened_pair import picture
 from bench.support.rows import Row, append_result
 from ddic.mesh.cell_type import Q4
 from ddic.mesh.mesh import build_mesh

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from accept.support.near_far_case import (
+from accept.table import Scale, runs_name
+from bench.support.near_far_case import (
     Pair,
     Scene,
     calibrate_command,
@@ -34,7 +35,6 @@ from accept.support.near_far_case import (
     render_scene,
     rms,
 )
-from accept.table import Scale, runs_name
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_command, ddic_run, environment, run_job
 from ddic.images.camera import CameraMapping, similarity

@@ -12,14 +12,20 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import ddic
-from accept.separated_pairs import Pair, list_pixels, measure_rms, store
 from accept.table import Scale
 from bench.support.rows import Row, append_result
+from bench.support.separated_cases import (
+    WAVELENGTH,
+    Pair,
+    find_region,
+    list_pixels,
+    measure_pixels,
+    measure_rms,
+    render_reference,
+)
 from ddic.parallel.team import require_held
 from ddic.plots.canvas import save_figure
 from ddic.synth.fields import Sinusoidal
-from ddic.synth.render import Digitiser, Picture, Scene, render_pair
-from ddic.synth.speckle import SpeckleTexture
 
 
 def draw_comparison(sides: Sequence[float], found: Mapping[str, Sequence[Mapping[str, float]]]) -> Figure:
@@ -64,9 +70,6 @@ SIZE, SMOKE_SIZE = 1024, 256
 SIDE, SMOKE_SIDE = 710, 120
 """Of the region in their middle."""
 
-WAVELENGTH = 64.0
-"""Cut-off, pixels."""
-
 MOST_CORRECTIONS, MOST_CPU_S, PAPER_RESIDUAL = 10, 1.5, 0.59
 """Corrections on float images, CPU seconds of a measurement, and the paper's residual in percent of the range."""
 
@@ -87,60 +90,6 @@ TIMES_CHEAPER = 5.0
 
 Array = NDArray[np.float64]
 Timed = tuple[ddic.Result, float]
-
-
-def render_reference(size: int, kind: str) -> Pair:
-    """Draw the reference texture with the reference field.
-
-    Parameters
-    ----------
-    size : int
-        Side of the images, pixels.
-    kind : str
-        As ``store`` takes it.
-
-    Returns
-    -------
-    reference, deformed : (size, size) array
-        Grey levels.
-    """
-    pair = render_pair(Scene(SpeckleTexture(0), Sinusoidal()), Picture(size, size, Digitiser(32)))
-    random = np.random.default_rng(0)
-    reference, deformed = (store(image.astype(float), kind, random) for image in (pair.reference, pair.deformed))
-    return reference, deformed
-
-
-def find_region(size: int, side: int) -> tuple[float, float, float, float]:
-    """Place a square in the middle of an image: x0, y0, x1, y1, pixels."""
-    first = float((size - side) // 2)
-    return first, first, first + side, first + side
-
-
-def measure_pixels(pair: Pair, side: int, regularization: dict[str, Any] | None = None, *, pyramid: bool = True,
-                   **pgd: Any) -> ddic.Result:
-    """Measure a square in the middle of the images by PGD-DIC with elements of a pixel.
-
-    Parameters
-    ----------
-    pair : tuple of array
-        The images.
-    side : int
-        Of the square, pixels.
-    regularization : dict, optional
-        Keys of ``[regularization]``; a cut-off wavelength of 64 px by default.
-    pyramid : bool
-        Whether one starts.
-    **pgd : object
-        Keys of ``[pgd]``.
-
-    Returns
-    -------
-    Result
-        In memory.
-    """
-    region = find_region(len(pair[0]), side)
-    return ddic.measure(pair, mesh={"structured": {"region": region, "element_size": 1}}, pgd=pgd,
-                        start={"pyramid": pyramid}, regularization=regularization or {"cut_off_wavelength": WAVELENGTH})
 
 
 def timed(measure: Callable[[], ddic.Result]) -> Timed:

@@ -16,27 +16,16 @@ from typing import Any
 import meshio
 import numpy as np
 from matplotlib.figure import Figure
-from petsc4py import PETSc
 
 from accept.table import Scale
+from bench.support.first_step import count_iterations, find_error_curve, prepare_first_step
 from bench.support.rows import RESULTS, Row, append_result
 from bench.support.runs import ROOT, images, run_job
-from bench.support.step_problem import (
-    ALONE,
-    StepProblem,
-    Vector,
-    correct_monolithically,
-    factorize,
-    prepare_step,
-    prepare_whole,
-)
 from ddic.case.schema import Case
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.parallel.field import Field
-from ddic.solvers.dual.dual_problem import DualProblem
-from ddic.solvers.dual.dual_step import DualSettings, DualStep
+from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.preconditioner import Preconditioner
 
 
@@ -100,7 +89,7 @@ def measure(scale: Scale) -> list[Row]:
     beam = SMOKE if scale.smoke else FULL
     lines = run_job(1, "accept.preconditioners", json.dumps(_case(beam, scale.folder("beam"))))
     records = {record["preconditioner"]: record for record in lines}
-    needed = {kind: _count_iterations(record["curve"]) for kind, record in records.items()}
+    needed = {kind: count_iterations(record["curve"], TARGET) for kind, record in records.items()}
     for kind, record in records.items():
         append_result("preconditioners_runs", {**{k: v for k, v in record.items() if k != "curve"},
                                                "cut_off_wavelength": WAVELENGTH, "iterations": needed[kind]})
@@ -128,12 +117,6 @@ def _case(beam: Beam, folder: Path) -> dict[str, Any]:
     }
 
 
-def _count_iterations(curve: list[tuple[int, float, float]]) -> int:
-    """Iterations from which on the error stays within TARGET."""
-    above = [iteration for iteration, _, error in curve if error > TARGET]
-    return (max(above) if above else -1) + 1
-
-
 def _draw(records: dict[str, Any]) -> Figure:
     """Displacement error over iterations."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
@@ -153,70 +136,17 @@ KINDS: tuple[Preconditioner, ...] = ("none", "paper", "scaled")
 TOLERANCE, MOST_ITERATIONS = 1e-8, 3000
 """Of GMRES."""
 
-Curve = list[tuple[int, float, float]]
-"""Iteration, residual norm and displacement error relative to the one-domain correction."""
-
-
-def error_curve(kind: Preconditioner, problem: StepProblem, b: Vector, reference: Vector) -> tuple[Curve, int]:
-    """Solve the first linear step of a case and look at every iterate.
-
-    Parameters
-    ----------
-    kind : Preconditioner
-        solver.preconditioner.
-    problem : StepProblem
-        The subdomains.
-    b : (n_field,) array
-        Right-hand side of the whole mesh.
-    reference : (n_field,) array
-        Correction of one domain, pixels.
-
-    Returns
-    -------
-    curve : list
-        Of all iterations.
-    n_interface : int
-        Number of interface unknowns.
-    """
-    assembly = problem.assemble()
-    operators = factorize(assembly)
-    scale = assembly.reaction_scale
-    step = DualStep(ALONE, assembly.systems, operators, scale, DualSettings(kind, TOLERANCE, MOST_ITERATIONS))
-    # The step keeps its own to itself; what multipliers correct is the same.
-    interface = DualProblem(ALONE, assembly.systems, operators, scale)
-    shared = problem.count_subdomains()
-    at_rest = Field.zero(ALONE, [system.subdomain for system in assembly.systems])
-    right = at_rest.with_parts(b[n] / shared[n] for n in problem.numbers)
-    free = at_rest.with_parts(operator.solve(r) for operator, r in zip(operators, right, strict=True))
-    curve: Curve = []
-
-    def watch(ksp: PETSc.KSP, iteration: int, norm: float) -> None:
-        dq = interface.correct(free, ksp.buildSolution())
-        squares = sum(((d - reference[n]) ** 2 / shared[n]).sum() for d, n in zip(dq, problem.numbers, strict=True))
-        curve.append((iteration, norm, float(np.sqrt(squares) / np.linalg.norm(reference))))
-
-    step.ksp.setMonitor(watch)
-    step.solve(at_rest, right)
-    n_interface = step.n_interface
-    step.destroy()
-    interface.destroy()
-    for operator in operators:
-        operator.destroy()
-    return curve, n_interface
-
 
 def main(case_json: str) -> None:
     """Print a curve for each preconditioner."""
     case = Case.model_validate(json.loads(case_json))
-    whole = prepare_whole(case)
-    q = np.zeros(whole.region.n_field)
-    (b,) = whole.right_hand_sides([q])
-    reference = correct_monolithically(whole, q, b)
-    problem = prepare_step(ALONE, case)
+    first = prepare_first_step(case)
+    region = first.problem.region
     for kind in KINDS:
-        curve, n_interface = error_curve(kind, problem, b, reference)
-        print(json.dumps({"preconditioner": kind, "n_dofs": whole.region.n_field, "n_interface": n_interface,
-                          "subdomains": problem.region.n_subdomains, "curve": curve}), flush=True)
+        curve, n_interface = find_error_curve(first, DualSettings(kind, TOLERANCE, MOST_ITERATIONS))
+        print(json.dumps({"preconditioner": kind, "n_dofs": region.n_field, "n_interface": n_interface,
+                          "subdomains": region.n_subdomains, "curve": curve}), flush=True)
+    first.destroy()
 
 
 if __name__ == "__main__":

@@ -6,10 +6,10 @@ import numpy as np
 
 import ddic
 from accept.real_images import HEIGHT, SMOKE_HEIGHT, SMOKE_WIDTH, WIDTH
-from accept.separated_pairs import list_pixels
 from accept.table import Scale
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, images, real_data
+from bench.support.separated_cases import list_pixels
 from ddic.io.result_reader import read_result
 from ddic.synth.truth import load_truth
 

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ddic
-from accept.support.opened_pair import (
+from accept.support.settings import MONOLITHIC, describe_settings
+from accept.table import Scale
+from bench.support.opened_pair import (
     ANGLE,
     SIZE,
     SMOKE_SIZE,
@@ -25,8 +27,6 @@ from accept.support.opened_pair import (
     render,
     straight_line,
 )
-from accept.support.settings import MONOLITHIC, describe_settings
-from accept.table import Scale
 from bench.support.rows import Row, append_result
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.start.binned_pair import choose_block_sizes
@@ -205,7 +205,7 @@ def measure_band(scale: Scale) -> list[Row]:
     is_near = bool(away <= DISTANCE_PX and turned <= ANGLE_DEGREES)
     rows = [Row(what, f"within {DISTANCE_PX} px and {ANGLE_DEGREES} degrees",
                 f"largest {away:.3f} px and {turned:.4f} degrees", is_near)]
-    for name, make in (("homogeneous", _homogeneous), ("smooth", _smooth)):
+    for name, make in (("homogeneous", draw_homogeneous_field), ("smooth", draw_smooth_field)):
         n_found = 0
         for seed in range(n_seeds):
             field = make(np.random.default_rng(seed))
@@ -240,14 +240,15 @@ def _compare(found: Array, known: Array) -> tuple[float, float]:
     return float(abs((at_foot - known[0]) @ normal)), float(np.rad2deg(abs(np.arcsin(np.clip(along @ normal, -1, 1)))))
 
 
-def _homogeneous(random: np.random.Generator) -> Callable[[Array], Array]:
+def draw_homogeneous_field(random: np.random.Generator) -> Callable[[Array], Array]:
+    """Draw a displacement that is linear."""
     gradient, shift = random.normal(size=(2, 2)) * 5e-3, random.uniform(-1, 1, 2)
     return lambda points: np.asarray(shift + (points - SIZE / 2) @ gradient.T)
 
 
-def _smooth(random: np.random.Generator) -> Callable[[Array], Array]:
+def draw_smooth_field(random: np.random.Generator) -> Callable[[Array], Array]:
     """A wave of 100 to 400 px and 0.2 to 2 px on top of a homogeneous field."""
-    base = _homogeneous(random)
+    base = draw_homogeneous_field(random)
     length, amplitude, angle = random.uniform(100, 400), random.uniform(0.2, 2.0), random.uniform(0, np.pi)
     direction, polarization = np.array([np.cos(angle), np.sin(angle)]), random.normal(size=2)
     polarization /= np.linalg.norm(polarization)

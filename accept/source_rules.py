@@ -27,7 +27,7 @@ SOURCE = ROOT / "src" / "ddic"
 MOST_CODE_LINES, LONG_BY_NATURE = 400, ("pixel_kernels", "schema")
 """Of a module: lines of code; and modules that are one list or one kernel from end to end."""
 
-MOST_FILES, MOST_IN_PACKAGE, MOST_CODE, MOST_DOCUMENTED = 250, 18, 31_000, 12_500
+MOST_FILES, MOST_IN_PACKAGE, MOST_CODE, MOST_DOCUMENTED = 250, 18, 31_600, 12_500
 """Files, modules of one package, lines of code and of docstrings."""
 
 LEAST_MEDIAN, SHORT, MOST_SHORT = 90, 40, 0.12

@@ -132,6 +132,11 @@ TABLES: dict[str, dict[str, str]] = {
         "shapes": "xdic.measure_shapes",
         "solvers": "xdic.measure_solvers",
     },
+    "papers": {
+        "found_lines": "found_lines.measure_found_lines",
+        "figures": "papers.measure_figures",
+        "source": "papers.measure_source",
+    },
     "trust": {
         "line_off": "cracks.measure_line_off",
         "tip_off": "cracks.measure_tip_off",

@@ -15,7 +15,9 @@ import numpy as np
 from mpi4py import MPI
 
 import ddic
-from accept.support.opened_pair import (
+from accept.support.settings import MONOLITHIC, describe_settings
+from accept.table import Scale
+from bench.support.opened_pair import (
     MARGIN,
     SIZE,
     SMOKE_SIZE,
@@ -26,8 +28,6 @@ from accept.support.opened_pair import (
     render,
     straight_line,
 )
-from accept.support.settings import MONOLITHIC, describe_settings
-from accept.table import Scale
 from bench.support.rows import Row
 from bench.support.runs import run_job
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 import ddic
-from accept.support.opened_pair import picture
+from bench.support.opened_pair import picture
 from bench.support.runs import source_version
 from ddic.functionals.correlation import read_correlation
 from ddic.images.binned import ArraySource

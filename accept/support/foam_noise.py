@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from accept.support.near_far_case import Pair, joint_case
+from bench.support.near_far_case import Pair, joint_case
 from bench.support.runs import real_data
 from ddic.case.loader import load_case
 from ddic.functionals.correlation import Correlation, read_correlation, read_correlations

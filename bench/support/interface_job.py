@@ -29,7 +29,7 @@ from ddic.kinematics.nodal import NodalRegion
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import split_by_metis
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly

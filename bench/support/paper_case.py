@@ -65,11 +65,11 @@ def beam(bits: int) -> BenchCase:
     """Four-point bending of an open-hole beam [BP17, 5.3]: unstructured T3/Q4 mesh of 15 px, rendered where missing."""
     folder = DATA / f"paper_{bits}"
     source = [source_version(), _field_version()]
-    _made(folder, {"field": asdict(FIELD), "bits": bits, "size": [WIDTH, HEIGHT], "source": source},
-          partial(_render_beam, folder, bits))
+    make_once(folder, {"field": asdict(FIELD), "bits": bits, "size": [WIDTH, HEIGHT], "source": source},
+              partial(_render_beam, folder, bits))
     mesh = DATA / "paper_mesh" / "beam.msh"
-    _made(mesh.parent, {"region": BEAM, "hole": HOLE, "element": BEAM_ELEMENT},
-          partial(write_gmsh_mesh, mesh, BEAM, BEAM_ELEMENT, HOLE))
+    make_once(mesh.parent, {"region": BEAM, "hole": HOLE, "element": BEAM_ELEMENT},
+              partial(write_gmsh_mesh, mesh, BEAM, BEAM_ELEMENT, HOLE))
     x0, y0, x1, y1 = BEAM
     return BenchCase(f"beam_{bits}", bits, folder, _text(folder, f'[mesh]\nfile = "{mesh}"', BEAM_WAVELENGTH), FIELD,
                      BEAM_ELEMENT, f"the beam, {x1 - x0:.0f} x {y1 - y0:.0f} px without its hole")
@@ -122,7 +122,7 @@ def _field_version() -> str:
     return hashlib.sha256(Path(__file__).with_name("paper_field.py").read_bytes()).hexdigest()
 
 
-def _made(folder: Path, arguments: dict[str, object], make: Callable[[], None]) -> None:
+def make_once(folder: Path, arguments: dict[str, object], make: Callable[[], None]) -> None:
     """Make what a folder holds unless it was made with the same arguments."""
     stamp, wanted = folder / "arguments.json", json.dumps(arguments)
     if stamp.is_file() and stamp.read_text(encoding="utf-8") == wanted:

@@ -116,7 +116,7 @@ def run_job(n_ranks: int, module: str, *arguments: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in printed.splitlines()]
 
 
-def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result") -> dict[str, Any]:
+def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result", output: str = "") -> dict[str, Any]:
     """Run a case text through the command line; the result is ``folder/NAME.vtkhdf``.
 
     Parameters
@@ -129,6 +129,8 @@ def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result") -> dic
         Number of MPI ranks.
     name : str
         Name of the case file and of the result.
+    output : str
+        Other keys of ``[output]``.
 
     Returns
     -------
@@ -137,7 +139,7 @@ def ddic_run(case: str, folder: Path, n_ranks: int, name: str = "result") -> dic
     """
     folder.mkdir(parents=True, exist_ok=True)
     case_file = folder / f"{name}.toml"
-    case_file.write_text(f'{case}\n[output]\nfile = "{name}.vtkhdf"\n', encoding="utf-8")
+    case_file.write_text(f'{case}\n[output]\nfile = "{name}.vtkhdf"\n{output}\n', encoding="utf-8")
     mpirun(n_ranks, ddic_command(), "run", str(case_file))
     summary: dict[str, Any] = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     return summary

@@ -139,7 +139,7 @@ def test_table_rows_hold_each_iterations_own_seconds(capsys: pytest.CaptureFixtu
 
 def test_tables_fit_a_hundred_columns(capsys: pytest.CaptureFixture[str]) -> None:
     correction = CorrectionRecord(100, (0.1, 0.2), (1e-3, 1e-3), (1e-3, 1e-3), 1e-10, 1e-10, 6,
-                                  GreyState(1234.5, 1234.5, 10**9, 1.0, 0.0), 24)
+                                  GreyState(1234.5, 1234.5, 10**9, 1.0, 0.0), 24, 1e-3, 0.05)
     with RunConsole() as console:
         console.problem_size(dataclasses.replace(SIZE, dynamic_range=4095.0))
         capsys.readouterr()

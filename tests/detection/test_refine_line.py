@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accept.support.opened_pair import Opened, render
-from ddic.detection.line_of_case import LEAST_GAIN
+from bench.support.opened_pair import Opened, render
+from ddic.detection.lines_of_case import LEAST_GAIN
 from ddic.detection.refine_line import UncertainLine, find_move, refine_line
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accept.support.opened_pair import Crack, render_crack
+from bench.support.opened_pair import Crack, render_crack
 from ddic.detection.refine_line import UncertainLine
 from ddic.detection.refine_tip import LEAST_PX, choose_radius, find_tip_move
 from ddic.errors import ConvergenceError

@@ -25,7 +25,7 @@ from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from support.pictures import source
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, random_partition
 

@@ -17,6 +17,7 @@ from matplotlib.text import Text
 
 from accept.report_page import find_clipped_texts
 from ddic.cli.plot import plot
+from ddic.fracture.opening import Opening
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA, FAILURE, STATUS
 from ddic.plots.canvas import WORDS, draw_failures
@@ -37,9 +38,10 @@ from support.separated import lines
 Write = Callable[..., Path]
 pytestmark = pytest.mark.filterwarnings("ignore:.*did not converge:UserWarning")
 
-CURVES = tuple(np.linspace(0.0, 1.0, 5) for _ in range(3))
+OPENING = Opening(np.arange(5.0), np.zeros((5, 2)), np.ones(5), np.ones(5), np.zeros(5, np.uint8), np.zeros(5, bool))
 TABLE = {name: np.arange(1.0, 4.0) for name in ("correction", "fluctuation_x", "fluctuation_y", "relative_x",
-                                               "relative_y", "gain", "noise_gain", "residual_std_grey")}
+                                               "relative_y", "relative", "gain", "noise_gain",
+                                               "residual_std_grey")}
 
 
 def _modes() -> SeparatedField:
@@ -58,7 +60,7 @@ DRAWN: dict[str, Callable[[Result], Figure]] = {
     "strain": lambda result: draw_strain(result, StrainChoice(by_cell=True)), "residual": draw_residual,
     "signed-residual": lambda result: draw_residual(result, signed=True),
     "difference": lambda result: draw_difference(result, result),
-    "krylov": lambda result: draw_krylov({"": result.krylov}), "opening": lambda _: draw_opening({"line 1": CURVES}),
+    "krylov": lambda result: draw_krylov({"": result.krylov}), "opening": lambda _: draw_opening({"line 1": OPENING}),
     "near-far": lambda result: draw_near_far(_two_cameras(result)), "modes": lambda _: draw_modes(_modes()),
     "corrections": lambda _: draw_corrections(TABLE)}
 

@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from accept.support.near_far_case import CellPanel, draw_cell_panels
+from bench.support.near_far_case import CellPanel, draw_cell_panels
 from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh

@@ -54,6 +54,26 @@ def test_line_is_found_and_measured_with() -> None:
 def test_no_line_is_found_where_nothing_slips() -> None:
     result = ddic.measure(pair(0.0), MESH, discontinuity="detect")
     assert lines_of(result) == []
+    assert "not looked for: curved lines" in result.attributes["case"]["notes"]
+    # Noise alone.
+    assert result.detection["radon_scores"].max() < 8.0
+
+
+@pytest.mark.parallel([1, 2])
+def test_what_was_seen_is_kept_and_drawn(tmp_path: Path) -> None:
+    result = ddic.measure(pair(0.8), MESH, discontinuity="detect")
+    seen = result.detection
+    assert seen["tresca_strain"].shape == (MESH.n_cells,)
+    k, j = np.unravel_index(seen["radon_scores"].argmax(), seen["radon_scores"].shape)
+    # Bands lie half an element apart, and half of what a turn by an element at the end makes in angle.
+    assert abs(seen["radon_angles"][k] - ANGLE) < 0.05
+    assert abs(seen["radon_distances"][j] - (FOOT - 128.0) @ NORMAL) < 16.0
+    beside = np.abs((seen["centres"] - FOOT) @ NORMAL)
+    # A jump of 0.8 px over 16 px is a shear of 0.05, half of which is the Tresca strain.
+    assert 0.015 < np.median(seen["tresca_strain"][beside < 4.0]) < 0.05
+    assert np.median(seen["tresca_strain"][beside > 48.0]) < 0.005
+    assert len(result.plot("detection").axes) >= 3
+    assert ddic.measure(pair(0.8), MESH).detection == {}
 
 
 def test_session_finds_the_line_in_its_first_image_and_keeps_it() -> None:

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import ddic
-from accept.support.opened_pair import Crack, render_crack
+from bench.support.opened_pair import Crack, render_crack
 from ddic.cli.run import run
 from ddic.errors import SingularSubdomainError
 

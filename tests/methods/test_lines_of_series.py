@@ -14,7 +14,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 import ddic
-from accept.support.opened_pair import Crack, render_crack
+from bench.support.opened_pair import Crack, render_crack
 from ddic.io.series_reader import read_series
 from ddic.methods.run import run_file
 from ddic.parallel.team import Team

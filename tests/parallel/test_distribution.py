@@ -17,8 +17,7 @@ from ddic.kinematics.linear import LinearRegion
 from ddic.parallel.distribution import scatter_subdomains, split_evenly
 from ddic.parallel.team import Team
 from ddic.partition import sharing
-from ddic.partition.build_subdomains import build_subdomains, cut_subdomains
-from ddic.partition.sharing import number_interfaces
+from ddic.partition.sharing import build_subdomains, cut_subdomains, number_interfaces
 from support.linear import linear_step, split
 
 RANKS = [1, 2, 3, 4]

@@ -11,7 +11,7 @@ from ddic.kinematics.nodal import NodalRegion
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import ByView, Field, add_views, multiply_fields
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from support.pictures import square_mesh
 

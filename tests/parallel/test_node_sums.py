@@ -9,7 +9,7 @@ from mpi4py import MPI
 from ddic.kinematics.nodal import NodalRegion
 from ddic.parallel.distribution import split_evenly, sum_shared_nodes
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from support.pictures import square_mesh
 

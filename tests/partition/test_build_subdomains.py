@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ddic.kinematics.nodal import NodalRegion, component_numbers
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Interface, Subdomain
 from support.interfaces import check_numbering, stack_jumps
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition

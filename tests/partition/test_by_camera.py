@@ -15,7 +15,7 @@ from ddic.errors import InputError
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import (
     add_motions,
     assign_cameras,

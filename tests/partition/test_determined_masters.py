@@ -10,8 +10,8 @@ from ddic.errors import InputError
 from ddic.kinematics.linear import TiedRegion
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.determined import LEAST, keep_masters_determined
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import keep_cameras_apart, split_by_metis
 from ddic.partition.ties import Tying, tie_meshes
 

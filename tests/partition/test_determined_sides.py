@@ -12,8 +12,8 @@ from ddic.functionals.line_band import weigh_corners
 from ddic.kinematics.enriched import Opening, enrich
 from ddic.mesh.cut_mesh import CutMesh, cut_mesh
 from ddic.mesh.structured import build_structured_mesh
-from ddic.partition.build_subdomains import build_subdomains
 from ddic.partition.determined import LEAST_SHARE, CutSides, keep_cameras_determined, keep_sides_determined
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import split_by_metis
 
 MESH = build_structured_mesh((20, 20, 180, 180), 16)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Interface, Subdomain, copies_of, rows_of, scaled_incidence, signed_incidence
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, grid_meshes, random_partition
 

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from ddic.kinematics.linear import LinearRegion
 from ddic.mesh.mesh import Mesh
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from support.interfaces import check_numbering, stack_jumps
 from support.random_meshes import PARTITIONS, SEEDS, delaunay_meshes, grid_mesh, grid_meshes, random_partition

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
 from ddic.mesh.mesh import Mesh
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import interface_weights
 from support.random_meshes import PARTITIONS, SEEDS, grid_mesh, grid_meshes, random_partition
 

@@ -17,7 +17,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.ties import Tying, tie_meshes
 from support.sharers import count_sharers
 

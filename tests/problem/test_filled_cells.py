@@ -17,7 +17,7 @@ from ddic.mesh.plane import build_rotation
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import split_by_blocks
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.added_forces import HELD, STIFFNESS, FilledCells, fill_cells, fit_rigid_motion

@@ -17,7 +17,7 @@ from ddic.mesh.structured import build_structured_mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import split_by_blocks
 from ddic.problem.assembly import CHANGED_SHARE, CHANGED_SIDE, HELD_SHARE, AssembledFrom, Assembly, find_renewal
 from ddic.problem.residual_model import ResidualModel

@@ -19,7 +19,7 @@ from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.problem.residual_model import ResidualModel
 from ddic.solvers.correction_size import Tolerances
 from ddic.synth.fields import Translation

@@ -13,8 +13,8 @@ from ddic.kinematics.nodal_gradients import recover_gradients
 from ddic.kinematics.strain import compute_infinitesimal, compute_strain
 from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
-from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations
+from ddic.partition.sharing import build_subdomains
+from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations, find_openings
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
 from ddic.visibility.noise_forces import NoiseForces, place_cells
@@ -65,7 +65,8 @@ def _estimate(team: Team, wavelength: float | None, kind: str, n: int) -> tuple[
         measured = [np.zeros(s.mesh.n_nodes, dtype=bool) for s in parts.subdomains]
         step = parts.step(DualSettings("scaled"))
         scale = float(np.sqrt(problem.mean_diagonal)) / SIGMA
-        return parts, estimate_deviations(team, parts.subdomains, step, forces, scale, measured)
+        openings = [find_openings(s, ()) for s in parts.subdomains]
+        return parts, estimate_deviations(team, parts.subdomains, step, forces, scale, measured, openings)
 
 
 @pytest.mark.parallel([1, 3])

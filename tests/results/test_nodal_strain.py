@@ -20,7 +20,7 @@ from ddic.mesh.structured import build_structured_mesh
 from ddic.methods.run import run_case
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.results.fields import describe_nodal_strains, recover_nodal_gradients
 from support.cases import WAVES, Ears, write_case, write_images
 

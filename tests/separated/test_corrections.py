@@ -114,6 +114,16 @@ def test_records_say_what_happened() -> None:
     assert residual == sorted(residual, reverse=True)
     assert solution.grey.residual_std < residual[-1]
     assert told[0].relative == pytest.approx((1.0, 1.0))
+    sizes = solution.field.measure_rms()
+    # Both components together, over the displacement with the correction: the last is nearly that.
+    assert told[-1].eta == pytest.approx(np.linalg.norm(told[-1].rms) / np.linalg.norm(sizes), rel=1e-3)
+    assert all(min(r.relative) <= r.eta <= max(r.relative) for r in told)
+    assert all(r.stagnation <= Scheme().stagnation or r.n_sweeps == Scheme().max_sweeps for r in told)
+
+
+def test_one_sweep_has_nothing_to_stagnate() -> None:
+    solution = _correct(frame_of(WAVES, REGION, 48.0), scheme=Scheme(max_sweeps=1))
+    assert np.isnan([r.stagnation for r in solution.records]).all()
 
 
 def _noisy(sigma: float, seed: int, element: float) -> FramePixels:

@@ -9,7 +9,7 @@ from mpi4py import MPI
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.exchange import average_copies
 from support.linear import StepProblem, linear_step, split

@@ -14,7 +14,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers import correction_size
 from ddic.solvers.correction_size import (

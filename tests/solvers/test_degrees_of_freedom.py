@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.probing import estimate_degrees_of_freedom
 from support.linear import Decomposed, dense, linear_step, split

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.linear_step import LinearStep
 from ddic.solvers.probing import estimate_deviation, estimate_response

@@ -193,3 +193,15 @@ def test_a_region_as_large_as_the_image_is_measured(size: tuple[int, int]) -> No
     assert not any("left out" in line for line in start.warnings), start.warnings
     # Beyond the last block the field goes on as it ends there: 8 px of 1 % of strain.
     assert rms_error(start.field.at(mesh.nodes).ravel(), mesh.nodes, field) <= 0.05
+
+
+def test_each_level_tells_its_iterations() -> None:
+    told: list[tuple[int, int]] = []
+    pair = pair_of(Translation((3.5, -9.5)), SIDE, 8)
+    pyramid = Pyramid(_pair(pair.reference, pair.deformed), MESH, "none",
+                      report=lambda size, record: told.append((size, record.number)))
+    start = find_multilevel_start(pyramid, StartSection(rigid=False))
+    assert list(dict.fromkeys(size for size, _ in told)) == list(start.levels)
+    for size in start.levels:
+        numbers = [number for of_size, number in told if of_size == size]
+        assert numbers == list(range(1, len(numbers) + 1))

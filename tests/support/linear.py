@@ -21,7 +21,7 @@ from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain, Weighting, interface_weights
 from ddic.solvers.dual.dual_problem import DualProblem, LocalDual

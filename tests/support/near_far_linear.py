@@ -38,7 +38,7 @@ from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import add_motions, keep_cameras_apart, split_by_blocks, split_by_camera, split_by_metis
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import assemble

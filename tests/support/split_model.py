@@ -13,7 +13,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import ByView
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.split import split_by_blocks
 from ddic.problem.reference_problem import project_hessians
 from ddic.problem.residual_model import ResidualModel

@@ -29,7 +29,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.structured import build_structured_mesh
-from ddic.methods.fe_dic import find_discontinuity
+from ddic.methods.fe_dic import find_discontinuities, is_line_wanted
 from ddic.methods.sweep import list_element_sizes, list_wavelengths, measure_candidates, set_resolution
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
@@ -77,7 +77,8 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *,
     # Of a series the last image, which has moved most.
     inputs, frame = open_inputs(team, loaded, len(list_deformed(loaded.case.images)) - 1)
     team.together(lambda: _refuse_impossible(inputs.case, cut_off_wavelengths, element_sizes))
-    inputs = find_discontinuity(team, inputs, frame, Silence(), PhaseClock(waiting=team.waiting))
+    if is_line_wanted(inputs.case):
+        inputs, _ = find_discontinuities(team, inputs, frame, Silence(), PhaseClock(waiting=team.waiting))
     candidates = team.on_root(lambda: _list_candidates(inputs, cut_off_wavelengths, element_sizes))
     varied = [(candidate, _vary(inputs, candidate)) for candidate in candidates]
     told = advance or (lambda what, count: None)

@@ -405,6 +405,8 @@ def list_unused_keys(case: Case) -> list[str]:
          searches and start.features and not start.rigid),
         ("start", ("largest_enriched_block",), "[[discontinuity]]", searches and not case.discontinuity),
         ("start", ("independent",), 'solver.method = "dual"', is_never_dual and start.independent),
+        ("output", ("independent_fields",), 'solver.method = "dual" and start.independent = true',
+         case.output.independent_fields and not (method == "dual" and start.independent)),
         ("images", ("noise",), "output.uncertainty = true, or [[near]], whose cameras it is weighed against",
          not (case.near or case.output.uncertainty)),
     ]

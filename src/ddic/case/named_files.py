@@ -149,6 +149,8 @@ def _list_contradictions(case: Case) -> Iterator[str]:
     if any(line.vertices is None for line in case.discontinuity):
         yield ("images.deformed: a line that is looked for needs one pair; find it on one image first, and give "
                "discontinuity.vertices")
+    if case.output.independent_fields:
+        yield "output.independent_fields: frames of a series start from the one before; leave it out, or give one image"
     if case.series.incremental != "never":
         yield from _list_refused_by_updates(case)
     yield from _list_refused_by_groups(case, n_frames)

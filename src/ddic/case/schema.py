@@ -724,6 +724,10 @@ class OutputSection(Section):
     regularization's bias ([uncertainty.md](uncertainty.md)). The noise is `images.noise`, else that of
     `images.at_rest`, else that of the residual."""
 
+    independent_fields: bool = False
+    """Also write the displacement that each subdomain measures by itself, before they are coupled ([BP17], Fig. 9a);
+    with `solver.method = "dual"`; of one pair."""
+
     flip_y: bool = False
     """Write coordinates and vectors with y pointing up."""
 
@@ -827,6 +831,7 @@ class Case(Section):
             "[gauss_newton]": ("gauss_newton" in self.model_fields_set,
                                "give pgd.tolerance, pgd.rms_tolerance and pgd.max_corrections"),
             "output.uncertainty": (self.output.uncertainty, "leave it out: it follows from linear steps on a mesh"),
+            "output.independent_fields": (self.output.independent_fields, "leave it out: there are no subdomains"),
             "regularization.boxes": ("boxes" in of_gap, "name whole sides in regularization.not_controlled"),
             "start.independent": ("independent" in self.start.model_fields_set, "leave it out"),
             "start.largest_enriched_block": ("largest_enriched_block" in self.start.model_fields_set, "leave it out"),

@@ -223,7 +223,9 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
     A row is a place on a line: number of the line, distance from its first vertex, x, y, tangential and normal opening,
     pixels; and whether the cell of either side is excluded (as the cell field says, 0 for no) or doubtful (1). Openings
     are nan where it is excluded. They are the displacement of the left side less that of the right one; left is -y
-    where the line runs along +x. A positive normal opening parts the sides.
+    where the line runs along +x. A positive normal opening parts the sides. Where the result holds standard deviations
+    (output.uncertainty), columns sigma_tangential_px and sigma_normal_px are those of the openings, and with a
+    regularization bias_tangential_px and bias_normal_px its bias in them.
     The figure is drawn by ddic plot --kind opening.
     """
     # Imported here because HDF5 is not needed by --help.
@@ -243,16 +245,21 @@ def opening(file: Path, frame: int | None, output: Path | None) -> None:
         found = measure_openings(result)
         with replaced_on_exit(target) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
             table = csv.writer(stream)
+            known = [name for name in OPENING_ERRORS if getattr(found[0], name) is not None]
             table.writerow(["line", "distance_px", "x_px", "y_px", "tangential_px", "normal_px", "excluded",
-                            "doubtful"])
+                            "doubtful", *(f"{name}_px" for name in known)])
             for number, of_line in enumerate(found, start=1):
                 columns = (of_line.distance, *of_line.points.T, of_line.tangential, of_line.normal, of_line.excluded,
-                           of_line.doubtful)
+                           of_line.doubtful, *(getattr(of_line, name) for name in known))
                 table.writerows([number, *(f"{value:.6g}" for value in row)] for row in np.column_stack(columns))
     for number, of_line in enumerate(found, start=1):
         click.echo(f"line {number}: {len(of_line.points)} places, normal opening {_describe_range(of_line.normal)}, "
                    f"tangential {_describe_range(of_line.tangential)} px{_count_excluded(of_line.normal)}")
     click.echo(target)
+
+
+OPENING_ERRORS = ("sigma_tangential", "sigma_normal", "bias_tangential", "bias_normal")
+"""What a result may know of the errors of openings, the last columns of their table."""
 
 
 def _describe_range(values: Array) -> str:

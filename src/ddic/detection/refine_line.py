@@ -16,6 +16,7 @@ import scipy
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import ConvergenceError
 from ddic.functionals.line_band import BAND, list_pixels_outside
+from ddic.images.sub_image import MaskedSource
 from ddic.images.window import Window
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import CutMesh
@@ -75,47 +76,59 @@ def measure_heights(points: Array, line: Array) -> Array:
     return np.asarray(multiply_across(along, points - line[segments]) / np.linalg.norm(along, axis=1))
 
 
-def compute_residuals(images: Images, pixels: IntArray, displacement: Array, own: BoolArray | None = None) -> Array:
+def compute_residuals(images: Images, pixels: IntArray, displacement: Array) -> Array:
     """Compute f(x) - a g(x + u) - b at pixels, with one gain and offset where the images' grey levels are corrected.
 
-    ``pixels`` are columns and rows, (n, 2), the displacement is theirs, (n, 2), pixels. Gain and offset are found by
-    the pixels that the displacement belongs to, ``own``, (n,); all by default. Returns grey levels, (n,); nan where a
-    pixel is left out of an image, or is displaced out of it.
+    ``pixels`` are columns and rows, (n, 2), the displacement is theirs, (n, 2), pixels. Returns grey levels, (n,); nan
+    where a pixel is left out of an image, or is displaced out of it.
     """
-    f, g = _evaluate_images(images, pixels, displacement)
-    fitted = np.isfinite(f - g) & (True if own is None else own)
+    f, g = _read_at(images.reference, pixels), _interpolate_at(images.deformed, pixels + displacement)
+    return _subtract(images, f, g, np.isfinite(f - g))
+
+
+def _subtract(images: Images, f: Array, g: Array, own: BoolArray) -> Array:
+    """Subtract a g + b from f, (n,); gain and offset are found by ``own`` pixels, to which the displacement belongs."""
+    fitted = own & np.isfinite(f - g)
     if images.correction == "none" or fitted.sum() < FEWEST_FITTED:
         return f - g
     gain, offset = np.polyfit(g[fitted], f[fitted], 1)
     return np.asarray(f - gain * g - offset)
 
 
-def _evaluate_images(images: Images, pixels: IntArray, displacement: Array) -> tuple[Array, Array]:
-    """f(x) and g(x + u), nan where a pixel is left out."""
-    if not len(pixels):
-        return np.zeros(0), np.zeros(0)
-    reference, deformed = images.reference, images.deformed
-    low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
-    window = Window.between(low, high)
-    f = reference.image.read(window).astype(np.float64)[pixels[:, 1] - window.y0, pixels[:, 0] - window.x0]
-    usable = reference.find_usable(window)
-    if usable is not None:
-        f = np.where(usable[pixels[:, 1] - window.y0, pixels[:, 0] - window.x0], f, np.nan)
-    at = pixels + displacement
-    extent = deformed.extent
-    is_inside = ((at >= 0) & (at <= (extent.width - 1, extent.height - 1))).all(axis=1)
+def _read_at(source: MaskedSource, pixels: IntArray) -> Array:
+    """Grey levels at pixels, (n,); nan where one lies outside, or does not count."""
+    extent = source.extent
+    values = np.full(len(pixels), np.nan)
+    is_inside = ((pixels >= 0) & (pixels < (extent.width, extent.height))).all(axis=1)
     if not is_inside.any():
-        return f, np.full(len(pixels), np.nan)
-    low, high = np.floor(at[is_inside].min(axis=0)), np.ceil(at[is_inside].max(axis=0)) + 1
-    seen = Window.between(low, high).grow(HALO).intersection(extent)
-    g_values = deformed.image.read(seen).astype(np.float64)
-    g = scipy.ndimage.map_coordinates(g_values, (at - (seen.x0, seen.y0))[:, ::-1].T, order=3, mode="mirror")
-    usable = deformed.find_usable(seen)
+        return values
+    inside = pixels[is_inside]
+    window = Window.between(inside.min(axis=0), inside.max(axis=0) + 1)
+    columns, rows = (inside - (window.x0, window.y0)).T
+    grey, usable = source.image.read(window).astype(np.float64), source.find_usable(window)
+    values[is_inside] = grey[rows, columns] if usable is None else np.where(usable, grey, np.nan)[rows, columns]
+    return values
+
+
+def _interpolate_at(source: MaskedSource, points: Array) -> Array:
+    """Grey levels between pixels by a cubic spline, (n,); nan outside, and beside a pixel that does not count."""
+    extent = source.extent
+    values = np.full(len(points), np.nan)
+    is_inside = ((points >= 0) & (points <= (extent.width - 1, extent.height - 1))).all(axis=1)
+    if not is_inside.any():
+        return values
+    inside = points[is_inside]
+    window = Window.between(np.floor(inside.min(axis=0)), np.ceil(inside.max(axis=0)) + 1)
+    seen = window.grow(HALO).intersection(extent)
+    at = inside - (seen.x0, seen.y0)
+    between = scipy.ndimage.map_coordinates(source.image.read(seen).astype(np.float64), at[:, ::-1].T, order=3,
+                                            mode="mirror")
+    usable = source.find_usable(seen)
     if usable is not None:
-        beside = np.rint(np.where(is_inside[:, None], at, at[is_inside][0])).astype(np.int64) - (seen.x0, seen.y0)
-        shown = scipy.ndimage.minimum_filter(usable, size=3)
-        is_inside = is_inside & (shown[beside[:, 1], beside[:, 0]] > 0)
-    return f, np.where(is_inside, g, np.nan)
+        columns, rows = np.rint(at).astype(np.int64).T
+        between[scipy.ndimage.minimum_filter(usable, size=3)[rows, columns] == 0] = np.nan
+    values[is_inside] = between
+    return values
 
 
 REACH = 3.5
@@ -147,6 +160,13 @@ a tip, pixels say nothing of the line's place."""
 BELIEVED = 5.0
 """Standard deviations of the residual up to which it counts: what is larger with either side's displacement, as in the
 gap of an open crack, says nothing of the side."""
+
+BLUR = 1.0
+"""Pixels over which what a pixel costs is spread across the line. In a gap as narrow as that, both sides' extensions
+explain what is seen: the middle is taken. A larger value rounds off what tells the place."""
+
+_HAT = np.maximum(1.0 - np.abs(np.arange(-BLUR, BLUR + STEPS[-1] / 2, STEPS[-1])) / BLUR, 0.0)
+_HAT /= _HAT.sum()
 
 LEAST_DEVIATION = 0.01
 """Standard deviation of the residual relative to what the sides differ by, at least: images that move by whole pixels
@@ -262,31 +282,62 @@ def refine_line(images: Images, mesh: Mesh, start: CutField, line: UncertainLine
 
 
 @dataclass(frozen=True)
-class Squares:
-    """Squared residuals of some pixels.
+class LineEvidence:
+    """Squared residuals of some pixels without and with a line.
 
     Attributes
     ----------
-    total : float
-        Their sum, grey levels squared.
-    n_pixels, n_unknowns : int
-        How many they are, and how many unknowns explain them.
+    without_line, with_line : float
+        Their sums, grey levels squared.
+    n_pixels : int
+        How many they are.
+    n_more : float
+        How many more unknowns explain them with the line.
     """
 
-    total: float
+    without_line: float
+    with_line: float
     n_pixels: int
-    n_unknowns: int
+    n_more: float
 
     @property
-    def rms(self) -> float:
-        """Root mean square, grey levels."""
-        return float(np.sqrt(self.total / max(self.n_pixels, 1)))
+    def gain(self) -> float:
+        """By how much the mean square falls, grey levels squared."""
+        return (self.without_line - self.with_line) / max(self.n_pixels, 1)
 
 
-def measure_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine) -> tuple[Squares, Squares]:
+@dataclass(frozen=True, eq=False)
+class ResidualsBeside:
+    """Residuals of the pixels in the cells that a line cuts, without it and with it.
+
+    Attributes
+    ----------
+    pixels : (n, 2) array
+        Columns and rows.
+    without_line, with_line : (n,) array
+        Grey levels.
+    n_more : int
+        How many more unknowns there are with the line.
+    """
+
+    pixels: Array
+    without_line: Array
+    with_line: Array
+    n_more: int
+
+    def sum(self, chosen: BoolArray) -> LineEvidence:
+        """Sum the squares of some of the pixels, (n,), which have their share of the unknowns."""
+        without_line, with_line = (float((residuals[chosen] ** 2).sum())
+                                   for residuals in (self.without_line, self.with_line))
+        n_pixels = int(chosen.sum())
+        return LineEvidence(without_line, with_line, n_pixels, self.n_more * n_pixels / max(len(self.pixels), 1))
+
+
+def measure_residuals(images: Images, mesh: Mesh, displacement: Array, refined: RefinedLine) -> ResidualsBeside:
     """Measure residuals in the cells that a line cuts: of a continuous field on the same strip, and with the line.
 
-    The first is measured alike, from ``displacement``, (n_nodes, 2), pixels. Raises what ``refine_line`` does.
+    The first is measured alike, from ``displacement``, (n_nodes, 2), pixels. The line is the only one. Raises what
+    ``refine_line`` does.
     """
     size = measure_cell_size(mesh)
     strip, nodes = mesh.create_submesh(find_strip(mesh, refined.line, REACH * size))
@@ -303,9 +354,8 @@ def measure_residuals(images: Images, mesh: Mesh, displacement: Array, refined: 
         there = interpolate_located(cells.mesh, u.reshape(cells.mesh.nodes.shape), placed)
         found.append(compute_residuals(images, pixels, there))
     counted = np.isfinite(found[0]) & np.isfinite(found[1])
-    before, after = (Squares(float((residuals[counted] ** 2).sum()), int(counted.sum()), cells.kinematics.n_unknowns)
-                     for residuals, cells in zip(found, (whole, refined.cells), strict=True))
-    return before, after
+    return ResidualsBeside(pixels[counted].astype(np.float64), found[0][counted], found[1][counted],
+                           refined.cells.kinematics.n_unknowns - whole.kinematics.n_unknowns)
 
 
 def find_strip(mesh: Mesh, line: Array, reach: float) -> IntArray:
@@ -329,29 +379,41 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, given: Uncertai
     pixels, _ = list_pixels(rasterize(about), np.arange(about.n_cells))
     points = pixels.astype(np.float64)
     near = measure_distance(points, line) <= reach + BAND[images.degree]
-    pixels, points = pixels[near], points[near]
-    segments, _ = find_nearest_segments(points, line)
-    along = np.diff(line, axis=0)
-    lengths = np.linalg.norm(along, axis=1)
-    from_start = points - line[segments]
-    shares = (from_start * along[segments]).sum(axis=1) / lengths[segments] ** 2
-    heights = multiply_across(along[segments], from_start) / lengths[segments]
+    for other in given.others:
+        # Beside another line g jumps, whatever the side of this one.
+        near &= measure_distance(points, other) > BAND[images.degree]
+    points = points[near]
     on_left, on_right = evaluate_both_sides(cut, displacement, line, points, given.others)
-    left = compute_residuals(images, pixels, on_left, heights > 0)
-    right = compute_residuals(images, pixels, on_right, heights <= 0)
+    known = np.isfinite(on_left + on_right).all(axis=1)
+    points, along, sides = points[known], np.diff(line, axis=0), []
+    for u, sign in ((on_left[known], 1), (on_right[known], -1)):
+        # At pixels of g, each of which shows one side alone: between them, g's spline mixes both.
+        pixels = np.rint(points + u).astype(np.int64)
+        came_from = pixels - u
+        segments, _ = find_nearest_segments(came_from, line)
+        from_start, ahead = came_from - line[segments], along[segments]
+        lengths = np.linalg.norm(ahead, axis=1)
+        heights = multiply_across(ahead, from_start) / lengths
+        f, g = _interpolate_at(images.reference, came_from), _read_at(images.deformed, pixels)
+        residual = _subtract(images, f, g, sign * heights > 0)
+        sides.append((residual, segments, (from_start * ahead).sum(axis=1) / lengths**2, heights))
+    (left, _, _, height), (right, *_) = sides
     counted = np.isfinite(left) & np.isfinite(right)
     if not counted.any():
         raise ConvergenceError("no pixel about the line counts")
-    own = np.where(heights > 0, left, right)[counted]
+    own = np.where(height > 0, left, right)[counted]
     difference = (left - right) ** 2
     variance = max((float(np.median(np.abs(own))) / 0.6745) ** 2,
                    LEAST_DEVIATION**2 * float(difference[counted].mean()), 1e-300)
     most = BELIEVED**2 * variance
-    cost = np.minimum(left**2, most) - np.minimum(right**2, most)
+    costs = np.concatenate([np.minimum(left[counted]**2, most), -np.minimum(right[counted]**2, most)])
+    differences = np.tile(difference[counted], 2)
+    segments, shares, heights = (np.concatenate([of_side[counted] for of_side in both])
+                                 for both in list(zip(*sides, strict=True))[1:])
     tables = []
     for k in range(len(along)):
-        mine = counted & (segments == k)
-        tables.append(_Segment.tabulate(cost[mine], difference[mine], shares[mine], heights[mine],
+        mine = segments == k
+        tables.append(_Segment.tabulate(costs[mine], differences[mine], shares[mine], heights[mine],
                                         (reach, k == 0, k == len(along) - 1)))
     found = _search_on_grids(tables, reach, variance / given.deviation**2)
     gain = _sum_costs(tables, np.zeros(len(found))) - _sum_costs(tables, found)
@@ -382,6 +444,7 @@ class _Segment:
         top = -reach + n_heights * STEPS[-1]
         within, _, _ = np.histogram2d(bins, np.maximum(heights, -reach), bins=(N_BINS, n_heights), weights=cost,
                                       range=((0.0, 1.0), (-reach, top)))
+        within = scipy.ndimage.convolve1d(within, _HAT, axis=1, mode="constant")
         above = heights >= top
         beyond = np.histogram(bins[above], N_BINS, (0.0, 1.0), weights=cost[above])[0]
         costs = np.cumsum(within[:, ::-1], axis=1)[:, ::-1] + beyond[:, None]

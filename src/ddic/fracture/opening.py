@@ -1,6 +1,6 @@
 """How far the sides of the discontinuities that a result was measured with have moved apart, along them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
-from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, get_case
-from ddic.mesh.interpolation import locate
+from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, REGULARIZATION_BIAS, get_case
+from ddic.mesh.interpolation import interpolate, locate
 from ddic.mesh.mesh import Mesh
 
 
@@ -60,6 +60,12 @@ class Opening:
         though mechanics hold it off.
     doubtful : (n,) bool array
         Whether the cell of either side is marked doubtful.
+    sigma_tangential, sigma_normal : (n,) array or None
+        Standard deviations that the images' noise leaves in both, pixels: 0 in a direction in which the case lets
+        nothing open. None where the result holds none.
+    bias_tangential, bias_normal : (n,) array or None
+        Estimated openings less the true ones, as far as regularization is the reason, pixels; None where the result
+        holds none.
     """
 
     distance: Array
@@ -68,6 +74,56 @@ class Opening:
     normal: Array
     excluded: NDArray[np.uint8]
     doubtful: BoolArray
+    sigma_tangential: Array | None = None
+    sigma_normal: Array | None = None
+    bias_tangential: Array | None = None
+    bias_normal: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Places along a line both sides of which lie in a mesh.
+
+    Attributes
+    ----------
+    distance : (n,) array
+        Along the line from its first vertex, pixels.
+    points, tangent, to_left : (n, 2) array
+        On the line, pixels, and unit vectors along it and to its left.
+    cells : (2, n) int64 array
+        That hold the left side and the right one.
+    """
+
+    distance: Array
+    points: Array
+    tangent: Array
+    to_left: Array
+    cells: IntArray
+
+    @property
+    def sides(self) -> tuple[Array, Array]:
+        """Points beside the line, (n, 2) each, pixels: left and right."""
+        return self.points + BESIDE * self.to_left, self.points - BESIDE * self.to_left
+
+    def find_components(self, apart: Array) -> tuple[Array, Array]:
+        """Components along the line and to its left of what is left less right, (n, 2)."""
+        return (apart * self.tangent).sum(axis=1), (apart * self.to_left).sum(axis=1)
+
+
+def find_places(mesh: Mesh, vertices: Array) -> Places:
+    """Find the places on a polyline, (n_vertices, 2), pixels, a pixel apart, that have both sides in a mesh."""
+    parts, begin = [], 0.0
+    for start, end in pairwise(vertices):
+        length = float(np.linalg.norm(end - start))
+        along = np.arange(STEP / 2, length, STEP)
+        tangent = (end - start) / length
+        parts.append((begin + along, start + along[:, None] * tangent, np.broadcast_to(tangent, (len(along), 2))))
+        begin += length
+    distance, at, tangent = (np.concatenate(part) for part in zip(*parts, strict=True))
+    places = Places(distance, at, tangent, np.column_stack([tangent[:, 1], -tangent[:, 0]]), np.zeros((2, 0), np.int64))
+    cells = np.stack([locate(mesh, side).cells for side in places.sides])
+    inside = (cells >= 0).all(axis=0) & ~_find_uncut_bends(mesh, vertices, at, cells)
+    return Places(distance[inside], at[inside], tangent[inside], places.to_left[inside], cells[:, inside])
 
 
 def measure_opening(result: Result, line: int = 1) -> Opening:
@@ -91,25 +147,28 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
     InputError
         Where there is no such line.
     """
-    vertices = get_line(result, line)
-    parts, begin = [], 0.0
-    for start, end in pairwise(vertices):
-        length = float(np.linalg.norm(end - start))
-        along = np.arange(STEP / 2, length, STEP)
-        tangent = (end - start) / length
-        parts.append((begin + along, start + along[:, None] * tangent, np.broadcast_to(tangent, (len(along), 2))))
-        begin += length
-    distance, at, tangent = (np.concatenate(part) for part in zip(*parts, strict=True))
-    to_left = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    sides = at + BESIDE * to_left, at - BESIDE * to_left
-    cells = np.stack([locate(result.mesh, side).cells for side in sides])
-    apart = result.at(sides[0]) - result.at(sides[1])
-    inside = (cells >= 0).all(axis=0) & ~_find_uncut_bends(result.mesh, vertices, at, cells)
-    cells, apart, tangent, to_left = cells[:, inside], apart[inside], tangent[inside], to_left[inside]
-    excluded = _look_up(result, EXCLUDED, cells)
-    apart[np.isin(excluded, EXCLUDED_STATES)] = np.nan
-    return Opening(distance[inside], at[inside], (apart * tangent).sum(axis=1),
-                   (apart * to_left).sum(axis=1), excluded, _look_up(result, DOUBTFUL, cells) > 0)
+    places = find_places(result.mesh, get_line(result, line))
+    excluded = _look_up(result, EXCLUDED, places.cells)
+    is_known = ~np.isin(excluded, EXCLUDED_STATES)
+
+    def part(values: Array) -> tuple[Array, Array]:
+        """Tangential and normal components of how far values at nodes, (n_nodes, 2), part; nan where excluded."""
+        left, right = (interpolate(result.mesh, values, side) for side in places.sides)
+        return places.find_components(np.where(is_known[:, None], left - right, np.nan))
+
+    opening = Opening(places.distance, places.points, *part(result.displacement), excluded,
+                      _look_up(result, DOUBTFUL, places.cells) > 0)
+    table = result.opening_deviations
+    if table:
+        of_line = table["line"] == line
+        sigmas = [np.interp(places.distance, table["distance_px"][of_line], table[name][of_line], np.nan, np.nan)
+                  for name in ("sigma_tangential_px", "sigma_normal_px")]
+        tangential, normal = (np.where(is_known, sigma, np.nan) for sigma in sigmas)
+        opening = replace(opening, sigma_tangential=tangential, sigma_normal=normal)
+    if REGULARIZATION_BIAS in result.point_data:
+        tangential, normal = part(result.point_data[REGULARIZATION_BIAS][:, :2])
+        opening = replace(opening, bias_tangential=tangential, bias_normal=normal)
+    return opening
 
 
 def measure_openings(result: Result) -> list[Opening]:

@@ -10,7 +10,6 @@ import numpy as np
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray
-from ddic.functionals.scale_rows import scale_rows
 from ddic.kinematics.cell_interpolation import interpolate_cells, number_cell_dofs
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.cell_parts import CellParts, place_quadrature_points
@@ -294,3 +293,33 @@ def find_half_amplitudes(material: Material, wavelength: float) -> HalfAmplitude
     c11, c22, _, shear = material.moduli
     mean = ((c11**-2 + c22**-2) + (shear**-2 + shear**-2)) / 4.0
     return HalfAmplitudes(*(wavelength * (c**2 * mean) ** 0.25 for c in (shear, max(c11, c22))))
+
+
+def scale_rows(matrix: sparse.csr_matrix, factors: Array) -> sparse.csr_matrix:
+    """Multiply every row by a number, the matrix itself staying as it is.
+
+    A product with a diagonal matrix takes ten times as long on a small matrix.
+    """
+    scaled = matrix.copy()
+    scaled.data *= np.repeat(factors, np.diff(matrix.indptr))
+    return scaled
+
+
+ROWS_AT_ONCE = 1 << 16
+"""Rows of which entries are squared at once. More take more memory, fewer more time."""
+
+
+def sum_column_squares(matrix: sparse.csr_matrix, factors: Array) -> Array:
+    """Sum the squares of each column, every row times a number: the diagonal of K^T diag(factors^2) K, (n_columns,)."""
+    total = np.zeros(matrix.shape[1])
+    for first in range(0, matrix.shape[0], ROWS_AT_ONCE):
+        ends = matrix.indptr[first:first + ROWS_AT_ONCE + 1]
+        entries = slice(ends[0], ends[-1])
+        columns = matrix.indices[entries]
+        if not len(columns):
+            continue
+        low = columns.min()
+        of_rows = np.repeat(factors[first:first + ROWS_AT_ONCE] ** 2, np.diff(ends))
+        sums = np.bincount(columns - low, matrix.data[entries] ** 2 * of_rows)
+        total[low:low + len(sums)] += sums
+    return total

@@ -128,6 +128,7 @@ _COLUMNS = {
     schema.GAUSS_NEWTON: ("iteration", "residual_std_grey"), schema.PHASES: ("phase", "seconds"),
     schema.CORRECTIONS: ("correction", "residual_std_grey", "gain", "noise_gain", "relative_x", "relative_y",
                          "fluctuation_x", "fluctuation_y"),
+    schema.OPENING_DEVIATIONS: ("line", "distance_px", "sigma_tangential_px", "sigma_normal_px"),
 }
 """What others read of a table, by group."""
 

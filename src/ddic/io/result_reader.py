@@ -54,6 +54,10 @@ class Result:
         The file itself has y up.
     corrections : dict of (n_corrections,) arrays
         Columns of the table of PGD-DIC's corrections; empty for other methods.
+    detection : dict of array
+        What was seen where lines were looked for: ``centres`` of cells, (n, 2), pixels, and their ``tresca_strain``,
+        (n,); ``radon_scores``, (n_angles, n_distances), by ``radon_angles``, radians, and ``radon_distances``, pixels.
+        Empty where none were looked for.
     separated : SeparatedField or None
         The displacement as a sum of products, of which ``displacement`` are values; None for other methods.
     phases : dict of (n_phases,) arrays
@@ -62,6 +66,8 @@ class Result:
         Why the field is no result: the last one of a measurement that did not converge. Empty where it converged.
     verdict : Verdict or None
         Whether it can be trusted, and why not; None in files before schema 1.8.
+    opening_deviations : dict of (n,) arrays
+        Columns of the table of standard deviations of openings along the lines; empty where there are none.
     """
 
     path: Path
@@ -75,10 +81,12 @@ class Result:
     attributes: Mapping[str, Mapping[str, Any]]
     flipped: bool
     corrections: Arrays = field(default_factory=dict)
+    detection: Arrays = field(default_factory=dict)
     separated: SeparatedField | None = None
     failure: str = ""
     phases: Arrays = field(default_factory=dict)
     verdict: schema.Verdict | None = None
+    opening_deviations: Arrays = field(default_factory=dict)
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -266,6 +274,13 @@ def read_result(path: Path | str) -> Result:
     return result
 
 
+def read_independent_fields(path: Path) -> Result:
+    """Read the pieces of a result file apart, displaced as each subdomain measured by itself."""
+    with opened_result(path) as (name, file):
+        apart = read_open_file(name, file, joined=False)
+    return replace(apart, displacement=np.ascontiguousarray(apart.point_data[schema.INDEPENDENT][:, :2]))
+
+
 @contextmanager
 def opened_result(path: Path | str, known: FileStamps = NONE_KNOWN) -> Iterator[tuple[Path, Any]]:
     """Open a result file, of a pair or of a series, for reading; yield its name and the file.
@@ -384,8 +399,8 @@ def _check_schema(path: Path, file: Any) -> None:
 
 
 def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[Any], NDArray[Any]] = read_array,
-                   known: Mapping[str, Any] | None = None) -> Result:
-    """Join the pieces of an open file to a result.
+                   known: Mapping[str, Any] | None = None, joined: bool = True) -> Result:
+    """Join the pieces of an open file to a result, or leave each its own copies of the nodes that pieces share.
 
     ``path`` is what it is called, empty for what is only in memory. A frame of a series is read by ``rest``, the group
     of what is neither its geometry nor its fields, ``pick``, which reads its rows of a dataset of these, and ``known``,
@@ -399,8 +414,8 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     points = schema.flip_components(points) if flipped else points
     point_data, cell_data = (_fields(file[kind], pick, flipped) for kind in (schema.POINT_DATA, schema.CELL_DATA))
     damage.require_sound_pieces(grid, points, point_data, cell_data)
-    mesh, point_rows, cell_rows = merge_pieces(grid, points, point_data[schema.GLOBAL_NODE_ID],
-                                               cell_data[schema.GLOBAL_CELL_ID])
+    node_ids = point_data[schema.GLOBAL_NODE_ID] if joined else np.arange(len(points))
+    mesh, point_rows, cell_rows = merge_pieces(grid, points, node_ids, cell_data[schema.GLOBAL_CELL_ID])
     at_nodes = {name: values[point_rows] for name, values in point_data.items()}
     on_cells = {name: values[cell_rows] for name, values in cell_data.items()}
     displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
@@ -411,7 +426,7 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
         attributes[schema.CASE] = {**attributes.get(schema.CASE, {}), **known}
     damage.require_sound_attributes(attributes)
     tables = {group: _arrays(rest, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
-                                                        schema.PHASES)}
+                                                        schema.PHASES, schema.OPENING_DEVIATIONS)}
     damage.require_sound_tables(tables)
     result = Result(
         path=path,
@@ -425,10 +440,12 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
         attributes=attributes,
         flipped=flipped,
         corrections=tables[schema.CORRECTIONS],
+        detection=_arrays(rest, schema.DETECTION),
         separated=_read_separated(rest),
         failure=str(rest.attrs.get(schema.FAILURE, "")),
         phases=tables[schema.PHASES],
         verdict=_read_verdict(rest),
+        opening_deviations=tables[schema.OPENING_DEVIATIONS],
     )
     if has_image_at_once:
         # What is computed at first use may also be put in place, whatever the class is frozen for.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.8"
+SCHEMA_VERSION = "1.9"
 VERSION, Y_AXIS = OF_FORMAT = "ddic_schema", "y_axis"
 VTKHDF_VERSION = (2, 0)
 
@@ -25,6 +25,7 @@ RESIDUAL = "residual"
 GAUSS_NEWTON = "history/gauss_newton"
 KRYLOV = "history/krylov"
 CORRECTIONS = "history/corrections"
+DETECTION = "detection"
 SEPARATED = "separated"
 PGD = "PGD-DIC"
 PHASES = "history/phases"
@@ -41,11 +42,13 @@ NOISE_FLOOR = "noise_floor_px"
 NEAR_PREFIX = "near_"
 SERIES, STEPS, FRAMES = "series", "VTKHDF/Steps", "frames"
 UNCERTAINTY = "uncertainty"
+OPENING_DEVIATIONS = "uncertainty/opening"
 ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS, UNCERTAINTY)
 
 DISPLACEMENT = "displacement"
 DISPLACEMENT_MESH_UNITS = "displacement_mesh_units"
 DISPLACEMENT_PHYSICAL = "displacement_physical"
+INDEPENDENT = "independent_displacement"
 GLOBAL_NODE_ID = "GlobalNodeId"
 GLOBAL_CELL_ID = "GlobalCellId"
 CAMERA = "Camera"
@@ -130,18 +133,25 @@ class FieldSpec:
     axes: str = AXES_OF_IMAGE
 
 
-def point_fields(length_unit: str | None) -> tuple[FieldSpec, ...]:
-    """List the fields at the nodes, in the order of the file; ``length_unit`` is the pixel size's, None if unknown."""
-    fields = (
+def point_fields(length_unit: str | None, *, independent: bool = False) -> tuple[FieldSpec, ...]:
+    """List the fields at the nodes, in the order of the file; ``length_unit`` is the pixel size's, None if unknown.
+
+    ``independent`` asks for those of subdomains by themselves too.
+    """
+    fields: tuple[FieldSpec, ...] = (
         FieldSpec(DISPLACEMENT, VECTOR, np.float64, "px", "displacement in pixels, mean of interface copies"),
         FieldSpec(DISPLACEMENT_MESH_UNITS, VECTOR, np.float64, "mesh unit",
                   "displacement in the axes and units of the mesh file", AXES_OF_MESH_FILE),
         FieldSpec(GLOBAL_NODE_ID, 1, np.int64, "1", "number of the node in the whole mesh"),
     )
-    if length_unit is None:
-        return fields
-    return (*fields, FieldSpec(DISPLACEMENT_PHYSICAL, VECTOR, np.float64, length_unit,
-                               "displacement times the pixel size"))
+    if length_unit is not None:
+        fields = (*fields, FieldSpec(DISPLACEMENT_PHYSICAL, VECTOR, np.float64, length_unit,
+                                     "displacement times the pixel size"))
+    if independent:
+        fields = (*fields, FieldSpec(INDEPENDENT, VECTOR, np.float64, "px", "displacement that the piece's subdomain "
+                                     "measured by itself, before subdomains were coupled; nodes that pieces share "
+                                     "have one each"))
+    return fields
 
 
 def nodal_strain_fields() -> tuple[FieldSpec, ...]:
@@ -203,8 +213,8 @@ def uncertainty_cell_fields() -> tuple[FieldSpec, ...]:
 
 def list_all_fields() -> tuple[FieldSpec, ...]:
     """List all fields that a result may have, at the nodes and on the cells."""
-    return (*point_fields("px"), *nodal_strain_fields(), *cell_fields(2), *uncertainty_point_fields(regularized=True),
-            *uncertainty_cell_fields())
+    return (*point_fields("px", independent=True), *nodal_strain_fields(), *cell_fields(2),
+            *uncertainty_point_fields(regularized=True), *uncertainty_cell_fields())
 
 
 def begin_file(file: Any, *, flipped: bool) -> None:

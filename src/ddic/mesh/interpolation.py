@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.cell_type import N_MONOMIALS, differentiate_monomials, evaluate_monomials
-from ddic.mesh.mesh import Mesh, compute_geometry, pad_shapes
+from ddic.mesh.mesh import Mesh, compute_geometry, pad_cells, pad_shapes
 from ddic.mesh.plane import is_inside_edges, multiply_across
 from ddic.mesh.topology import find_boundary_facets
 
@@ -94,6 +95,13 @@ def evaluate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:
         members = mesh.types[cells] == block.type.vtk
         shapes[members] = monomials[members] @ pad_shapes(block.type).T
     return shapes
+
+
+def weigh_nodes_at(mesh: Mesh, cells: IntArray, points: Array) -> sparse.csr_matrix:
+    """Give shape functions at points, pixels, in given cells as factors of the nodes' values, (n, n_nodes)."""
+    shapes = evaluate_shapes_at(mesh, cells, points)
+    rows = np.repeat(np.arange(len(points)), shapes.shape[1])
+    return sparse.csr_matrix((shapes.ravel(), (rows, pad_cells(mesh)[cells].ravel())), (len(points), mesh.n_nodes))
 
 
 def differentiate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:

@@ -165,17 +165,17 @@ class DecomposedSession(MethodSession):
         if frame is self._first_frame:
             first_found, self._first_frame = self._found_first, None
         views = problem.open_frame(frame)
-        q, of_start = find_start(self._start, frame, views, first_found, start)
+        begin = find_start(self._start, frame, views, first_found, start)
         model = problem.build_residual_model(views)
-        note_all(self._listener, of_start)
-        notes = (*problem.reference.notes, *of_start)
+        note_all(self._listener, begin.notes)
+        notes = (*problem.reference.notes, *begin.notes)
         with last_field_kept(self._clock, lambda *last: finish_measurement(problem, frame, notes, *last)):
-            solved = solve_frame(problem, model, q, self._listener, self._clock, least_shown)
+            solved = solve_frame(problem, model, begin.q, self._listener, self._clock, least_shown)
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
             measurement = measurement.with_notes(describe_closed_lines(problem, measurement))
         note_all(self._listener, measurement.notes[len(notes) + len(solved.notes):])
-        return measurement
+        return replace(measurement, independent=begin.independent)
 
     def estimate_noise_floor(self, measured: Measurement) -> float:
         """Estimate what noise of the residual's size leaves in what was measured last, pixels; collective.

@@ -25,7 +25,8 @@ from ddic.results.measurement import Measurement, gather_displacement
 from ddic.start.frame_start import KnownStart
 
 if TYPE_CHECKING:
-    from ddic.detection.line_of_case import Refinement
+    from ddic.detection.find_lines import Detection
+    from ddic.detection.lines_of_case import Refinement
 
 RMS_PX, LARGEST_PX = 0.01, 1.0
 """Correction at which the continuous measurement is exact enough to look for a line in it: its elements on the line
@@ -65,16 +66,16 @@ class _FiniteElements:
 METHOD = _FiniteElements()
 
 
-def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Listener, clock: PhaseClock) -> Inputs:
-    """Find the line that a case asks for; collective.
+def find_discontinuities(team: Team, inputs: Inputs, frame: Frame, listener: Listener,
+                         clock: PhaseClock) -> tuple[Inputs, Detection]:
+    """Find the lines that a case asks for; collective.
 
-    Returns inputs with the line, or without discontinuities where none is found; the same where the case asks for none.
-    Raises InputError, SingularSubdomainError or ConvergenceError on all ranks.
+    Returns inputs with them, or without discontinuities where none is found, and what was seen. Raises InputError,
+    SingularSubdomainError or ConvergenceError on all ranks.
     """
+    from ddic.detection.find_lines import find_lines_of_case
+
     case = inputs.case
-    if not is_line_wanted(case):
-        return inputs
-    from ddic.detection.line_of_case import find_line_of_case
 
     team.together(lambda: refuse_kinematics(inputs))
     listener.note("detection: continuous elements first")
@@ -85,15 +86,17 @@ def find_discontinuity(team: Team, inputs: Inputs, frame: Frame, listener: Liste
         except StoppedError:
             raise
         except ConvergenceError as error:
-            raise as_collective(ConvergenceError("detection: the continuous field in which a line is looked for does "
+            raise as_collective(ConvergenceError("detection: the continuous field in which lines are looked for does "
                                                  f"not converge; give discontinuity.vertices ({error})",
                                                  error.last)) from error
     with clock.phase(Phase.START):
         displacement = gather_displacement(measurement)
-        line, note = team.on_root(lambda: find_line_of_case(inputs, frame, require_held(displacement)))
+        found = team.on_root(lambda: find_lines_of_case(inputs, frame, require_held(displacement)))
     section = case.discontinuity[0]
-    sections = () if line is None else (section.model_copy(update={"vertices": tuple(map(tuple, line.tolist()))}),)
-    return replace(inputs, case=case.model_copy(update={"discontinuity": sections}), notes=(*inputs.notes, note))
+    sections = tuple(section.model_copy(update={"vertices": tuple(map(tuple, line.tolist()))}) for line in found.lines)
+    with_lines = replace(inputs, case=case.model_copy(update={"discontinuity": sections}),
+                         notes=(*inputs.notes, found.note))
+    return with_lines, found
 
 
 def _loosen(section: GaussNewtonSection) -> GaussNewtonSection:
@@ -138,26 +141,26 @@ class _LineSession(MethodSession):
 
         As ``DecomposedSession.measure``. Lines that are corrected stay so for the frames that follow.
         """
-        session = self._find_session(frame)
+        session, seen = self._find_session(frame)
         measured = measure_and_look(lambda: session.measure(frame, start), self._team, session.inputs, frame,
                                     self._listener, self._clock)
-        if isinstance(measured, Measurement):
-            return measured
-        self.close()
-        self._inputs = measured
-        self._session = self._prepare(measured)
-        return self._session.measure(frame, start)
+        if not isinstance(measured, Measurement):
+            self.close()
+            self._inputs = measured
+            self._session = self._prepare(measured)
+            measured = self._session.measure(frame, start)
+        return measured if seen is None else replace(measured, detection=seen)
 
-    def _find_session(self, frame: Frame) -> DecomposedSession:
-        """The session at hand, or one with the line that a frame shows, without one where it shows none; collective."""
+    def _find_session(self, frame: Frame) -> tuple[DecomposedSession, Detection | None]:
+        """The session at hand, or one with the lines that a frame shows and what was seen in it; collective."""
         if self._session is not None and not is_line_wanted(self._inputs.case):
-            return self._session
+            return self._session, None
         self.close()
-        found = find_discontinuity(self._team, self._inputs, frame, self._listener, self._clock)
+        found, seen = find_discontinuities(self._team, self._inputs, frame, self._listener, self._clock)
         if found.case.discontinuity:
             self._inputs = found
         self._session = self._prepare(found)
-        return self._session
+        return self._session, seen
 
     def estimate_noise_floor(self, measured: Measurement) -> float:
         """Estimate what noise leaves in what was measured last, as ``DecomposedSession`` does; collective."""
@@ -200,7 +203,7 @@ def measure_and_look(measure: Callable[[], Measurement], team: Team, inputs: Inp
 
 def _refine_lines(inputs: Inputs, measurement: Measurement, frame: Frame, clock: PhaseClock) -> Refinement:
     """Lines and tips where the residual says that they lie; collective."""
-    from ddic.detection.line_of_case import refine_lines_of_case
+    from ddic.detection.lines_of_case import refine_lines_of_case
 
     with clock.phase(Phase.START):
         displacement = gather_displacement(measurement)

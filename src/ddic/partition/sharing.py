@@ -1,6 +1,7 @@
-"""Which subdomains share which nodes and unknowns, and the numbering of interface rows (C_s, Cbar_s).
+"""Subdomains cut from a mesh, which of them share which nodes and unknowns, and the numbers of interface rows.
 
-Nobody knows all subdomains: those that have copies of a thing tell one rank of it, which decides for all of them.
+Rows are those of C_s and Cbar_s. Nobody knows all subdomains: those that have copies of a thing tell one rank of it,
+which decides for all of them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import BoolArray, IntArray
+from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalKinematics, component_numbers
 from ddic.mesh.topology import find_boundary_nodes
-from ddic.partition.subdomain import Interface, Subdomain
+from ddic.partition.subdomain import Interface, Subdomain, begin_subdomain
 
 BLOCK = 1024
 """Things of neighbouring numbers that one rank decides on. A smaller number spreads that more evenly, and makes more
@@ -188,3 +190,37 @@ def _cut_interface(multiplicity: IntArray, position: IntArray, first_row: IntArr
 def _split_by(values: IntArray, places: Sequence[IntArray]) -> list[IntArray]:
     """Values of all subdomains' places, split into those of each."""
     return np.split(values, np.cumsum([len(at) for at in places])[:-1])
+
+
+def build_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: BoolArray,
+                     interior: BoolArray | None = None) -> list[Subdomain]:
+    """Cut a mesh and its unknowns into self-contained subdomains, all of them, by number.
+
+    ``parts`` is the subdomain of each cell, 0 to n - 1 without gaps; ``controlled`` says whether each unknown's
+    equilibrium row is controlled (P of Eq. 9 of [BP17]), and Kbar has a row for it. ``interior`` are the nodes at which
+    texture is weighed against mechanics, (n_nodes,); by default those that are not on the mesh's boundary.
+    """
+    if interior is None:
+        interior = np.ones(kinematics.mesh.n_nodes, dtype=bool)
+        interior[find_boundary_nodes(kinematics.mesh)] = False
+    subdomains = cut_subdomains(kinematics, parts, controlled, interior)
+    return number_interfaces(subdomains, [s.controlled for s in subdomains], OneRank())
+
+
+def cut_subdomains(kinematics: RegionKinematics, parts: IntArray, controlled: BoolArray,
+                   interior: BoolArray) -> list[Subdomain]:
+    """Cut subdomains as ``build_subdomains`` does, which do not know yet what they share with others."""
+    subdomains = []
+    for number, cells in enumerate(_group_by(parts, int(parts.max()) + 1)):
+        mesh, node_ids = kinematics.mesh.create_submesh(cells)
+        numbers = np.unique(kinematics.unknowns_at(node_ids)[0])
+        subdomains.append(begin_subdomain(number, kinematics.restrict(mesh, node_ids, numbers), node_ids, cells,
+                                          controlled[numbers], interior[node_ids]))
+    return subdomains
+
+
+def _group_by(labels: IntArray, n_groups: int) -> list[IntArray]:
+    """Sorted places of each label, 0 to n_groups - 1."""
+    order = np.argsort(labels, kind="stable")
+    ends = np.cumsum(np.bincount(labels, minlength=n_groups))
+    return [np.asarray(places, dtype=np.int64) for places in np.split(order, ends[:-1])]

@@ -1,9 +1,10 @@
 """Curves: convergence of the Krylov iterations (Fig. 11 of [BP17]), of Gauss-Newton and of PGD-DIC, and more.
 
 Gauss-Newton and PGD-DIC (Fig. 8a of [PP12]) by corrections and residual against their number; the functions of x and of
-y that a separated displacement is made of (Fig. 9 of [PP12]); opening of discontinuities along them; measurement
-uncertainty against the size of the elements [RRH07], [RHR08]; displacement and strain along a line, with a band of what
-noise leaves in them; a sweep over cut-off wavelengths and element sizes; how residuals and grey levels are distributed.
+y that a separated displacement is made of (Fig. 9 of [PP12]); opening of discontinuities along them, and what was seen
+where they were looked for [RHR08]; measurement uncertainty against the size of the elements [RRH07], [RHR08];
+displacement and strain along a line, with a band of what noise leaves in them; a sweep over cut-off wavelengths and
+element sizes; how residuals and grey levels are distributed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +21,13 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array
 from ddic.errors import InputError
+from ddic.fracture.opening import Opening, get_lines
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import interpolate
-from ddic.plots.canvas import COLOURS, PIXELS, LengthUnit
+from ddic.mesh.plane import build_tree
+from ddic.plots import canvas
+from ddic.plots.canvas import COLOURS, OF_VALUES, PIXELS, ColourScale, LengthUnit
 from ddic.separated.field import SeparatedField
 
 STYLES = (("-", "o"), ("--", "s"), ("-.", "^"), (":", "v"))
@@ -133,7 +137,10 @@ def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
         sizes.semilogy(number, _positive(table[f"fluctuation_{component}"]), color=colour, marker="o", markersize=3,
                        label=f"of u_{component} without its mean")
         sizes.semilogy(number, _positive(table[f"relative_{component}"]), "--", color=colour,
-                       label=f"of u_{component} (the paper's eta)")
+                       label=f"of u_{component}")
+    if "relative" in table:
+        # Files of earlier versions have it by component alone.
+        sizes.semilogy(number, _positive(table["relative"]), ":", color="black", label="of both (eta of [PP12])")
     sizes.set_ylabel("RMS of the correction [-]")
     gains.semilogy(number, _positive(table["gain"]), color="tab:blue", marker="o", markersize=3, label="correction")
     gains.semilogy(number, _positive(table["noise_gain"]), "--", color="tab:grey", label="of noise")
@@ -173,18 +180,27 @@ def draw_modes(field: SeparatedField) -> Figure:
     return figure
 
 
-def draw_opening(curves: Mapping[str, tuple[Array, Array, Array]], unit: LengthUnit = PIXELS) -> Figure:
-    """Draw slip and opening against the place along the line.
+def draw_opening(openings: Mapping[str, Opening], unit: LengthUnit = PIXELS) -> Figure:
+    """Draw slip and opening against the place along lines, by their labels, with bands where deviations are known.
 
-    ``curves`` hold, by the label of a line, distance along it, tangential and normal opening, (n,) each, in the unit.
+    Bands are of two standard deviations; where the bias of the regularization is known, 2 sqrt(sigma^2 + bias^2).
     """
     figure, axes = _make_figure(7.0, 4.5)
-    for (style, _), (label, (distance, tangential, normal)) in zip(cycle(STYLES), curves.items(), strict=False):
-        prefix = "" if len(curves) == 1 else f"{label}, "
-        axes.plot(distance, normal, style, color="tab:blue", linewidth=1.4, label=f"{prefix}normal")
-        axes.plot(distance, tangential, style, color="tab:orange", linewidth=1.4, label=f"{prefix}tangential")
-    axes.set(xlabel=f"distance along the line [{unit.name}]", ylabel=f"opening [{unit.name}]",
-             title="Opening of discontinuities")
+    title = "Opening of discontinuities"
+    for (style, _), (label, of) in zip(cycle(STYLES), openings.items(), strict=False):
+        prefix = "" if len(openings) == 1 else f"{label}, "
+        for name, colour, values, sigma, bias in (
+                ("normal", "tab:blue", of.normal, of.sigma_normal, of.bias_normal),
+                ("tangential", "tab:orange", of.tangential, of.sigma_tangential, of.bias_tangential)):
+            axes.plot(unit.size * of.distance, unit.size * values, style, color=colour, linewidth=1.4,
+                      label=f"{prefix}{name}")
+            if sigma is not None:
+                margin = BAND * (sigma if bias is None else np.hypot(sigma, bias))
+                axes.fill_between(unit.size * of.distance, unit.size * (values - margin),
+                                  unit.size * (values + margin), color=colour, alpha=0.25, linewidth=0.0)
+                of_what = "" if bias is None else ", of noise and bias"
+                title = f"Opening of discontinuities, with {BAND:g} standard deviations{of_what}"
+    axes.set(xlabel=f"distance along the line [{unit.name}]", ylabel=f"opening [{unit.name}]", title=title)
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
     return figure
@@ -439,3 +455,45 @@ def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:
     axes.set_ylim(bottom=0.0)
     axes.legend(fontsize="small")
     return figure
+
+
+SCORES = "viridis"
+
+
+def draw_detection(result: Result, unit: LengthUnit = PIXELS, scale: ColourScale = OF_VALUES) -> Figure:
+    """Draw the Tresca strain with the lines that were found, its Radon transform, and that of the best direction.
+
+    Each cell has the strain of the cell of the continuous field that was nearest.
+    """
+    seen, mesh = result.detection, result.mesh
+    nodes = unit.size * mesh.nodes
+    bounds = canvas.find_mesh_bounds(nodes)
+    lines = [unit.size * line for line in get_lines(result)]
+    title = f"Equivalent strain of Tresca, {len(lines) or 'no'} line{'' if len(lines) == 1 else 's'} found"
+    figure, (of_strain, of_scores, of_best) = canvas.make_panels(
+        [bounds] * 3, [title, "Radon transform", "Projection along the best direction"], unit)
+    strain = seen["tresca_strain"][build_tree(seen["centres"]).query(mesh.centroids)[1]]
+    colours = canvas.draw_cell_colours(of_strain, mesh, nodes, strain, scale)
+    for line in lines:
+        of_strain.plot(*line.T, "w--", linewidth=1.0)
+    canvas.set_bounds(of_strain, bounds)
+    canvas.add_colour_bar(figure, of_strain, colours, scale.format_label(r"$|\varepsilon_1 - \varepsilon_2| / 2$"))
+    _draw_scores(figure, of_scores, seen["radon_scores"], np.rad2deg(seen["radon_angles"]),
+                 unit.size * seen["radon_distances"], unit)
+    best = int(seen["radon_scores"].max(axis=1).argmax())
+    of_best.clear()
+    of_best.plot(unit.size * seen["radon_distances"], seen["radon_scores"][best], linewidth=1.4)
+    of_best.set(xlabel=f"distance from the middle [{unit.name}]", ylabel="score", aspect="auto",
+                title=f"Projection along {np.rad2deg(seen['radon_angles'][best]):.1f} degrees")
+    of_best.grid(alpha=0.25)
+    return figure
+
+
+def _draw_scores(figure: Figure, axes: Axes, scores: Array, angles: Array, distances: Array, unit: LengthUnit) -> None:
+    """Scores by distance and angle, (n_angles, n_distances)."""
+    title = axes.get_title()
+    axes.clear()
+    shown = axes.pcolormesh(distances, angles, scores, cmap=SCORES, vmin=0.0, shading="nearest", rasterized=True)
+    axes.set(xlabel=f"distance from the middle [{unit.name}]", ylabel="angle from +x to +y [degrees]", title=title,
+             aspect="auto")
+    canvas.add_colour_bar(figure, axes, shown, "score [standard deviations of noise]")

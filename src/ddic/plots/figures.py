@@ -18,7 +18,7 @@ from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result
 from ddic.plots import canvas, maps
 from ddic.plots.canvas import ColourScale
-from ddic.plots.curves import draw_corrections, draw_krylov, draw_line, draw_modes, draw_opening
+from ddic.plots.curves import draw_corrections, draw_detection, draw_krylov, draw_line, draw_modes, draw_opening
 from ddic.plots.kinds import KINDS, NUMBERS, OVER_IMAGE
 from ddic.plots.partition import draw_partition
 
@@ -109,6 +109,11 @@ def find_lacking(result: Result, other: Result | None) -> dict[str, str]:
         lacking["sigma"] = "holds no standard deviations; measure with output.uncertainty = true"
     if schema.REGULARIZATION_BIAS not in result.point_data:
         lacking["bias"] = ("holds no bias of a regularization; measure with one and with output.uncertainty = true")
+    if schema.INDEPENDENT not in result.point_data:
+        lacking["independent"] = ("holds no fields of subdomains by themselves; measure with output.independent_fields "
+                                  "= true and solver.method = \"dual\"")
+    if not result.detection:
+        lacking["detection"] = 'no line was looked for (discontinuity = "detect"); choose another --kind'
     if schema.CAMERA not in result.cell_data:
         lacking["near-far"] = "is of one camera (a case without [[near]]); choose another --kind"
     if result.separated is None:
@@ -156,6 +161,8 @@ def _draw_kind(kind: str, drawing: Drawing, shared: SharedScale | None) -> Figur
 
     by_kind: dict[str, Callable[[], Figure]] = {
         "partition": lambda: draw_partition(result, preview, unit),
+        "detection": lambda: draw_detection(result, unit, scale),
+        "independent": lambda: maps.draw_independent(result, component, look.amplification, unit, scale),
         "deformed": lambda: maps.draw_deformed(result, component, look.amplification, unit, scale, view),
         "displacement": lambda: maps.draw_displacement(result, preview, component, unit, scale),
         "strain": lambda: maps.draw_strain(result, look.strain, preview, unit, scales),
@@ -199,10 +206,8 @@ def _draw_krylov(result: Result, other: Result | None) -> Figure:
 
 def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
     """Opening of all lines."""
-    found = measure_openings(result)
-    return draw_opening({f"line {number}": (unit.size * of_line.distance, unit.size * of_line.tangential,
-                                            unit.size * of_line.normal)
-                         for number, of_line in enumerate(found, start=1)}, unit)
+    return draw_opening({f"line {number}": of_line for number, of_line in enumerate(measure_openings(result), start=1)},
+                        unit)
 
 
 THUMBNAIL_DPI = 60

@@ -2,13 +2,14 @@
 
 CURVES = "curves"
 KINDS = ("partition", "deformed", "displacement", "strain", "sigma", "bias", "residual", "signed-residual",
-         "difference", "krylov", "opening", "near-far", "modes", "corrections", "line")
+         "independent", "difference", "krylov", "opening", "detection", "near-far", "modes", "corrections", "line")
 ONLY_ASKED_FOR = ("displacement", "signed-residual", "line")
 """Kinds that show again, in another form or along a line, what others of ``all`` show."""
 
 OVER_IMAGE = ("partition", "displacement", "strain", "sigma", "bias")
-WITH_COMPONENT = ("deformed", "displacement", "sigma", "bias", "difference", "near-far")
-WITH_LIMITS = ("deformed", "displacement", "strain", "sigma", "bias", "residual", "signed-residual", "difference")
+WITH_COMPONENT = ("deformed", "independent", "displacement", "sigma", "bias", "difference", "near-far")
+WITH_LIMITS = ("deformed", "independent", "displacement", "strain", "sigma", "bias", "residual", "signed-residual",
+               "difference", "detection")
 ANIMATED = ("deformed", "displacement", "strain", "residual", "signed-residual")
 COMPONENTS = ("x", "y", "magnitude")
 NUMBERS = ("xx", "yy", "xy", "principal-1", "principal-2", "von-mises")

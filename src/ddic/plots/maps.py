@@ -22,7 +22,7 @@ from ddic.arrays import Array, BoolArray
 from ddic.errors import InputError
 from ddic.images.source import ImageSource
 from ddic.io import result_schema as schema
-from ddic.io.result_reader import Result, displacement_at
+from ddic.io.result_reader import Result, displacement_at, read_independent_fields
 from ddic.kinematics import strain
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
@@ -35,17 +35,46 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
                     scale: ColourScale = OF_VALUES) -> Figure:
     """Draw a result's displacement minus another's, interpolated to its nodes; nothing where either is unmeasured."""
     mesh, nodes = result.mesh, unit.size * result.mesh.nodes
-    difference = unit.size * (result.displacement - _interpolate(other, mesh.nodes))
-    squares = np.sum(difference**2, axis=1)
-    is_known = np.isfinite(squares)
-    rms = float(np.sqrt(squares[is_known].mean())) if is_known.any() else np.nan
-    title = f"{result.path.name} minus {other.path.name}, RMS {rms:.2e} {unit.name}"
+    compared = compute_difference(result, other)
+    difference = unit.size * compared.difference
+    title = (f"{result.path.name} minus {other.path.name}, RMS {unit.size * compared.rms:.2e} {unit.name}, Err "
+             f"{compared.err:.2e}")
     figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
     values = canvas.pick_component(difference, component)
     colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, scale)
     label = canvas.format_component_label(r"\Delta u", component, unit)
     canvas.add_colour_bar(figure, axes, colours, scale.format_label(label))
     return figure
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedFields:
+    """A result's displacement beside another's.
+
+    Attributes
+    ----------
+    difference : (n_nodes, 2) array
+        Its own minus the other's at its nodes, pixels; nan where either is unmeasured.
+    rms : float
+        Root mean square of the difference's length, pixels.
+    err : float
+        Err = |difference| / |other| over all nodes, Eq. 41 of [BP17].
+    """
+
+    difference: Array
+    rms: float
+    err: float
+
+
+def compute_difference(result: Result, other: Result) -> ComparedFields:
+    """Compare a result's displacement at its nodes with that of another one, interpolated to them."""
+    theirs = _interpolate(other, result.mesh.nodes)
+    difference = result.displacement - theirs
+    is_known = np.isfinite(difference).all(axis=1)
+    if not is_known.any():
+        return ComparedFields(difference, np.nan, np.nan)
+    norm, of_other = float(np.linalg.norm(difference[is_known])), float(np.linalg.norm(theirs[is_known]))
+    return ComparedFields(difference, norm / np.sqrt(is_known.sum()), norm / of_other if of_other else np.inf)
 
 
 def _interpolate(result: Result, points: Array) -> Array:
@@ -462,6 +491,17 @@ def draw_deformed(result: Result, component: Component = "magnitude", amplificat
         axes.add_collection(edges)
     label = canvas.format_component_label(symbol, component, unit)
     canvas.add_colour_bar(figure, axes, colours, scale.format_label(label))
+    return figure
+
+
+def draw_independent(result: Result, component: Component, amplification: float | None, unit: LengthUnit,
+                     scale: ColourScale) -> Figure:
+    """Draw the deformed mesh as the subdomains measured it by themselves, in pieces, Fig. 9a of [BP17].
+
+    As ``draw_deformed`` does.
+    """
+    figure = draw_deformed(read_independent_fields(result.path), component, amplification, unit, scale)
+    canvas.set_titles(figure, f"Subdomains by themselves: {figure.axes[0].get_title()}")
     return figure
 
 

@@ -26,9 +26,8 @@ from ddic.mesh.raster import rasterize
 from ddic.mesh.topology import find_boundary_nodes, find_not_controlled_nodes
 from ddic.parallel.distribution import scatter_subdomains, sum_shared_nodes
 from ddic.parallel.team import Team, require_held
-from ddic.partition.build_subdomains import cut_subdomains
 from ddic.partition.determined import CutSides, keep_cameras_determined, keep_masters_determined, keep_sides_determined
-from ddic.partition.sharing import number_interfaces
+from ddic.partition.sharing import cut_subdomains, number_interfaces
 from ddic.partition.split import (
     add_motions,
     estimate_cell_costs,

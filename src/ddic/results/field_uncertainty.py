@@ -1,20 +1,24 @@
 """Standard deviations that noise of the images leaves in a field, and what regularization takes from it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array, BoolArray, IntArray
+from ddic.fracture.opening import Places, find_places
 from ddic.kinematics.strain import compute_displacement_gradients, compute_infinitesimal
+from ddic.mesh.interpolation import weigh_nodes_at
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
+from ddic.problem.region_mesh import list_discontinuities
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.fields import recover_nodal_gradients
+from ddic.results.fields import draw_mesh, recover_nodal_gradients
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.probing import estimate_response
 from ddic.visibility.noise_forces import (
@@ -52,11 +56,14 @@ class FieldDeviations:
         Of the infinitesimal strain at nodes, xx, yy, xy, no unit.
     cell_strain : (n_cells, 3) array
         Of that in the middle of cells.
+    opening : (n_places, 2) array
+        Of the tangential and the normal opening at places along discontinuities, pixels.
     """
 
     displacement: Array
     nodal_strain: Array
     cell_strain: Array
+    opening: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +86,8 @@ class FieldUncertainty:
         Estimated displacement less the true one, as far as regularization makes the difference, pixels; None without.
     force_noise : ForceNoise or None
         How strongly the residual acts on displacements, where it tells the noise; None where the noise is given.
+    openings : dict of (n,) arrays
+        Standard deviations of openings along all discontinuities, columns by name; empty without any.
     """
 
     noise: ImageNoise
@@ -88,6 +97,7 @@ class FieldUncertainty:
     deviations: list[FieldDeviations]
     bias: list[Array] | None
     force_noise: ForceNoise | None = None
+    openings: Mapping[str, Array] = field(default_factory=dict)
 
 
 def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
@@ -112,10 +122,14 @@ def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, e
         forces = prepare_residual_forces(model, evaluation, q, of_forces, case)
     # Solutions of about a pixel, as steps expect.
     scale = float(np.sqrt(problem.solver.assembly.mean_diagonal)) / max(noise.sigma[0], TINY)
-    deviations = estimate_deviations(team, subdomains, step, forces, scale, unmeasured)
+    lines = list_discontinuities(case).lines
+    openings = team.together(lambda: [find_openings(subdomain, lines) for subdomain in subdomains])
+    deviations = estimate_deviations(team, subdomains, step, forces, scale, unmeasured, openings)
+    along = gather_deviations(team, openings, [of.opening for of in deviations]) if lines else {}
     rms = _measure_rms(team, subdomains, deviations)
     at_nodes = None if bias is None else _displace(team, subdomains, bias, unmeasured)
-    return FieldUncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces)
+    return FieldUncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces,
+                            along)
 
 
 def describe_uncertainty(uncertainty: FieldUncertainty) -> tuple[str, ...]:
@@ -136,24 +150,74 @@ def list_uncertainty(uncertainty: FieldUncertainty) -> dict[str, Any]:
     return {**told, "force_excess": of_forces.excess, "texture_share": of_forces.texture}
 
 
+@dataclass(frozen=True, eq=False)
+class SubdomainOpenings:
+    """Openings in a subdomain, as linear maps of its nodes' displacements, of whose samples the squares are averaged.
+
+    Displacements of the two sides go together, and so do those of a cell's nodes: what is known of each node by itself
+    does not tell how far sides part.
+
+    Attributes
+    ----------
+    places : list of Places
+        Of each line.
+    matrices : list of (n_places, n_nodes) csr_matrix
+        From displacements to those of the left side less those of the right one.
+    """
+
+    places: list[Places]
+    matrices: list[sparse.csr_matrix]
+
+    @property
+    def lines(self) -> IntArray:
+        """Line of each place, numbered from 1, (n,)."""
+        return np.repeat(np.arange(len(self.places)) + 1, [len(of_line.distance) for of_line in self.places])
+
+    @property
+    def distances(self) -> Array:
+        """Distance of each place along its line, (n,), pixels."""
+        return np.concatenate([np.zeros(0), *(of_line.distance for of_line in self.places)])
+
+    def measure(self, u: Array) -> Array:
+        """Tangential and normal openings, (n, 2), of displacements of nodes, (n_nodes, 2)."""
+        found = [np.column_stack(of_line.find_components(matrix @ u))
+                 for of_line, matrix in zip(self.places, self.matrices, strict=True)]
+        return np.concatenate([np.zeros((0, 2)), *found])
+
+
+def find_openings(subdomain: Subdomain, lines: Sequence[Array]) -> SubdomainOpenings:
+    """Find the openings of lines in a subdomain, as they are read from the mesh of the result."""
+    places, matrices = [], []
+    for line in lines:
+        drawn = draw_mesh(subdomain, subdomain.mesh.n_nodes)
+        of_line = find_places(drawn.mesh, line)
+        left, right = (weigh_nodes_at(drawn.mesh, cells, side)
+                       for cells, side in zip(of_line.cells, of_line.sides, strict=True))
+        places.append(of_line)
+        matrices.append(drawn.project_factors(left - right))
+    return SubdomainOpenings(places, matrices)
+
+
 def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: LinearStep, forces: NoiseForces,
-                        scale: float, unmeasured: Sequence[BoolArray]) -> list[FieldDeviations]:
-    """Estimate the square roots of the diagonal of A^-1 cov(b) A^-1, and of strains; collective.
+                        scale: float, unmeasured: Sequence[BoolArray],
+                        openings: Sequence[SubdomainOpenings]) -> list[FieldDeviations]:
+    """Estimate the square roots of the diagonal of A^-1 cov(b) A^-1, and of strains and openings; collective.
 
     Each right-hand side takes a linear step, of whatever kind; ``scale`` is what b is multiplied by before.
     ``unmeasured`` are the nodes of each subdomain that nothing holds: they have nan, and cells about them are as good
     as not there.
     """
-    squares = [(np.zeros((s.mesh.n_nodes, 2)), np.zeros((s.mesh.n_nodes, 3)), np.zeros((s.mesh.n_cells, 3)))
-               for s in subdomains]
+    squares = [(np.zeros((s.mesh.n_nodes, 2)), np.zeros((s.mesh.n_nodes, 3)), np.zeros((s.mesh.n_cells, 3)),
+                np.zeros((len(of.lines), 2))) for s, of in zip(subdomains, openings, strict=True)]
     at_rest = Field.zero(team, subdomains)
     for sample in range(forces.n_samples):
         b = at_rest.with_parts(scale * b_s for b_s in forces.generate(sample))
         displacements = _displace(team, subdomains, step.solve(at_rest, b, ENOUGH).dq, unmeasured)
         at_nodes = recover_nodal_gradients(team, subdomains, [u.ravel() for u in displacements])
-        for subdomain, of_subdomain, u, gradient in zip(subdomains, squares, displacements, at_nodes, strict=True):
+        for subdomain, opening, of_subdomain, u, gradient in zip(subdomains, openings, squares, displacements, at_nodes,
+                                                                 strict=True):
             in_cells = compute_displacement_gradients(subdomain.mesh, u.ravel())
-            found = (u, compute_infinitesimal(gradient), compute_infinitesimal(in_cells))
+            found = (u, compute_infinitesimal(gradient), compute_infinitesimal(in_cells), opening.measure(u))
             for total, values in zip(of_subdomain, found, strict=True):
                 np.add(total, values**2, out=total)
     return [FieldDeviations(*(np.sqrt(total / forces.n_samples) / scale for total in of_subdomain))
@@ -197,3 +261,13 @@ def _displace(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array],
     for u, is_unmeasured in zip(displacements, unmeasured, strict=True):
         u[is_unmeasured] = np.nan
     return displacements
+
+
+def gather_deviations(team: Team, openings: Sequence[SubdomainOpenings],
+                      deviations: Sequence[Array]) -> dict[str, Array]:
+    """Gather the standard deviations, (n, 2) of each subdomain, to a table: columns by name; collective."""
+    mine = [(of.lines, of.distances, sigma) for of, sigma in zip(openings, deviations, strict=True)]
+    lines, distances, sigmas = (np.concatenate(of_all) for of_all in zip(*team.gather_lists(mine), strict=True))
+    order = np.lexsort((distances, lines))
+    return {"line": lines[order], "distance_px": distances[order], "sigma_tangential_px": sigmas[order, 0],
+            "sigma_normal_px": sigmas[order, 1]}

@@ -30,8 +30,8 @@ from ddic.kinematics.strain import (
     find_principal_strains,
 )
 from ddic.mesh.cell_type import T3
-from ddic.mesh.interpolation import evaluate_shapes_at
-from ddic.mesh.mesh import Mesh, join_meshes, pad_cells
+from ddic.mesh.interpolation import weigh_nodes_at
+from ddic.mesh.mesh import Mesh, join_meshes
 from ddic.parallel.distribution import sum_shared_nodes
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain
@@ -83,12 +83,19 @@ def convert_to_six_components(tensor: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _DrawnMesh:
+class DrawnMesh:
     """Cells and points of a subdomain as they are written, parts of cut cells as triangles about their first corner.
 
-    ``node_ids`` number its points over the whole region, those of nodes before parts' corners; ``cells`` are the
-    subdomain's cells that its cells are, or are parts of; ``weights``, (mesh.n_nodes, n_nodes), give values at the
-    points from those at the subdomain's nodes, None where they are the same.
+    Attributes
+    ----------
+    mesh : Mesh
+        The cells, and the points as its nodes.
+    node_ids : (mesh.n_nodes,) array of int64
+        Numbers of the points over the whole region, those of nodes before parts' corners.
+    cells : (mesh.n_cells,) array of int64
+        Cells of the subdomain that these are, or are parts of.
+    weights : (mesh.n_nodes, n_nodes) csr_matrix or None
+        From values at the subdomain's nodes to those at the points; None where they are the same.
     """
 
     mesh: Mesh
@@ -100,15 +107,19 @@ class _DrawnMesh:
         """Interpolate values at the subdomain's nodes, (n_nodes, k), at the points, (mesh.n_nodes, k)."""
         return values if self.weights is None else np.asarray(self.weights @ values)
 
+    def project_factors(self, factors: sparse.csr_matrix) -> sparse.csr_matrix:
+        """Turn factors of values at the points, (n, mesh.n_nodes), into those of values at the nodes, (n, n_nodes)."""
+        return factors if self.weights is None else factors @ self.weights
 
-def _draw_mesh(subdomain: Subdomain, n_nodes: int) -> _DrawnMesh:
+
+def draw_mesh(subdomain: Subdomain, n_nodes: int) -> DrawnMesh:
     """Draw a subdomain's mesh, perhaps with parts of cut cells: the mesh itself where no cell is cut.
 
     ``n_nodes`` are those of the whole region's mesh, after which corners of parts are numbered.
     """
     mesh, parts = subdomain.mesh, subdomain.mesh.parts
     if parts is None or not parts.n_parts:
-        return _DrawnMesh(mesh, subdomain.node_ids, np.arange(mesh.n_cells))
+        return DrawnMesh(mesh, subdomain.node_ids, np.arange(mesh.n_cells))
     whole = np.setdiff1d(np.arange(mesh.n_cells), parts.cells)
     whole_mesh, kept = mesh.create_submesh(whole)
     n_corners = np.diff(parts.offsets)
@@ -127,16 +138,8 @@ def _draw_mesh(subdomain: Subdomain, n_nodes: int) -> _DrawnMesh:
     node_ids = np.concatenate([subdomain.node_ids[kept], n_nodes + numbers])
     cells = np.concatenate([whole, parts.cells[part_of_triangle]])
     at_nodes = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), kept)), (len(kept), mesh.n_nodes))
-    weights = sparse.vstack([at_nodes, _weigh_corners(mesh, parts.cells[part_of_corner], parts.corners)])
-    return _DrawnMesh(drawn, node_ids, cells, weights.tocsr())
-
-
-def _weigh_corners(mesh: Mesh, cells: IntArray, corners: Array) -> sparse.csr_matrix:
-    """Shape functions of each corner's cell there, (n_corners, n_nodes)."""
-    shapes = evaluate_shapes_at(mesh, cells, corners)
-    rows = np.repeat(np.arange(len(corners)), shapes.shape[1])
-    columns = pad_cells(mesh)[cells].ravel()
-    return sparse.csr_matrix((shapes.ravel(), (rows, columns)), (len(corners), mesh.n_nodes))
+    weights = sparse.vstack([at_nodes, weigh_nodes_at(mesh, parts.cells[part_of_corner], parts.corners)])
+    return DrawnMesh(drawn, node_ids, cells, weights.tocsr())
 
 
 BATCH_POINTS = 1 << 14
@@ -147,12 +150,13 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     """Write the mesh and the fields of all subdomains; collective, the writer is rank 0's."""
     team, images = measurement.team, measurement.inputs.case.images
     n_nodes = measurement.region.n_nodes
-    drawn = [_draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
+    drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
     counts = [PieceCounts(1, piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity)) for piece in drawn]
     mine = np.array(add_counts(counts))
     before, total = (PieceCounts(*(int(n) for n in found)) for found in (team.sum_below(mine), team.sum(mine)))
     length_unit = None if images.pixel_size is None else images.length_unit
-    at_points = (*schema.point_fields(length_unit), *schema.nodal_strain_fields())
+    at_points = (*schema.point_fields(length_unit, independent=measurement.independent is not None),
+                 *schema.nodal_strain_fields())
     on_cells = schema.cell_fields(len(measurement.cameras))
     uncertainty = measurement.uncertainty
     if uncertainty is not None:
@@ -182,7 +186,7 @@ def _group(counts: Sequence[int]) -> Iterator[range]:
             first, n_points = number, 0
 
 
-def _make_batches(measurement: Measurement, drawn: Sequence[_DrawnMesh],
+def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
                   gradients: Sequence[Array]) -> Iterator[tuple[range, Piece]]:
     """Pieces of owned subdomains in a row, and joined to one; ``gradients`` at nodes are (n_nodes, 2, 2) each."""
     displacements, subdomains = measurement.displacements, measurement.subdomains
@@ -202,14 +206,14 @@ def _make_batches(measurement: Measurement, drawn: Sequence[_DrawnMesh],
                                cell_data={**joined.cell_data, **on_cells})
 
 
-def _make_piece(measurement: Measurement, drawn: _DrawnMesh, number: int, u: Array) -> Piece:
+def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> Piece:
     """The piece of an owned subdomain, given by its place, without the strains of its field."""
     mesh = drawn.mesh
     return Piece(mesh.nodes, mesh.connectivity, mesh.offsets, mesh.types, _point_data(measurement, drawn, number, u),
                  {name: values[drawn.cells] for name, values in _cell_data(measurement, number).items()})
 
 
-def _point_data(measurement: Measurement, drawn: _DrawnMesh, number: int, u: Array) -> dict[str, NDArray[Any]]:
+def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> dict[str, NDArray[Any]]:
     """Fields at the points of an owned subdomain, given by its place, but for strains."""
     pixel_size, uncertainty = measurement.inputs.case.images.pixel_size, measurement.uncertainty
     vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))
@@ -220,6 +224,8 @@ def _point_data(measurement: Measurement, drawn: _DrawnMesh, number: int, u: Arr
     }
     if pixel_size is not None:
         data[schema.DISPLACEMENT_PHYSICAL] = vectors * pixel_size
+    if measurement.independent is not None:
+        data[schema.INDEPENDENT] = drawn.interpolate(measurement.independent[number].reshape(-1, drawn.mesh.dim))
     if uncertainty is not None:
         found = uncertainty.deviations[number]
         for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
@@ -294,6 +300,10 @@ def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
         from ddic.results.field_uncertainty import list_uncertainty
 
         writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
+        if measurement.uncertainty.openings:
+            writer.write_table(schema.OPENING_DEVIATIONS, measurement.uncertainty.openings)
+    if measurement.detection is not None:
+        writer.write_arrays(schema.DETECTION, measurement.detection.to_arrays())
     for motion in measurement.motions:
         writer.write_attributes(schema.near_group(motion.camera), describe_near_field(measurement, motion))
     writer.write_status(measurement.failure, measurement.verdict)

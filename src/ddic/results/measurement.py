@@ -51,6 +51,7 @@ from ddic.visibility.slow_nodes import estimate_node_deviations
 from ddic.visibility.solved_frame import SeenFrame, SolvedFrame
 
 if TYPE_CHECKING:
+    from ddic.detection.find_lines import Detection
     from ddic.results.field_uncertainty import FieldUncertainty
 
 
@@ -103,6 +104,10 @@ class Measurement:
         What speaks for or against the field.
     uncertainty : FieldUncertainty or None
         What noise and regularization do to the field, where the case asks for it.
+    detection : Detection or None
+        What was seen where lines were looked for in this frame.
+    independent : list of (n_dofs,) array, or None
+        What each owned subdomain measured by itself, pixels, where the case asks for it.
     """
 
     inputs: Inputs
@@ -127,6 +132,8 @@ class Measurement:
     method: str = ""
     preconditioner: str = "none"
     uncertainty: FieldUncertainty | None = None
+    detection: Detection | None = None
+    independent: list[Array] | None = None
 
     @property
     def team(self) -> Team:

@@ -124,7 +124,7 @@ class CorrectionRecord:
     rms : (x, y)
         RMS of the correction, what the update changed included, pixels.
     relative : (x, y)
-        The paper's eta: the same over the RMS of the displacement with the correction.
+        The same over the RMS of the displacement with the correction.
     fluctuation : (x, y)
         The same over the RMS of the displacement without its mean, which decides.
     gain, noise_gain : float
@@ -136,6 +136,10 @@ class CorrectionRecord:
         Residual.
     n_modes : int
         Of the displacement after the correction.
+    eta : float
+        ``relative`` of both components together, as in section 3.3 of [PP12].
+    stagnation : float
+        e of the fixed point in its last sweep, Eq. (25) of [PP12]; nan after a single one.
     """
 
     number: int
@@ -147,6 +151,8 @@ class CorrectionRecord:
     n_sweeps: int
     grey: GreyState
     n_modes: int
+    eta: float
+    stagnation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,8 +255,9 @@ def _describe(number: int, mode: Mode, rms: Array, u: SeparatedField, noise_gain
         found = rms / np.maximum(to, _TINY)
         return float(found[0]), float(found[1])
 
+    eta = float(np.linalg.norm(rms)) / max(float(np.linalg.norm(sizes)), _TINY)
     return CorrectionRecord(number, (float(rms[0]), float(rms[1])), relative(sizes), relative(fluctuations), mode.gain,
-                            noise_gain, mode.n_sweeps, grey, u.n_modes)
+                            noise_gain, mode.n_sweeps, grey, u.n_modes, eta, mode.stagnation)
 
 
 def _find_stop(record: CorrectionRecord, rules: StoppingRules) -> str:

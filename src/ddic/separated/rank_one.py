@@ -112,11 +112,14 @@ class Mode:
         By how much it lowers half the sum of squared residuals with its regularisation, grey levels squared.
     n_sweeps : int
         Of the fixed point.
+    stagnation : float
+        Change from the last sweep but one to the last, relative to the mode, Eq. (25) of [PP12]; nan after one sweep.
     """
 
     field: SeparatedField
     gain: float
     n_sweeps: int
+    stagnation: float
 
 
 def build_directions(pixels: FramePixels, operator: SeparatedOperator,
@@ -145,10 +148,12 @@ def find_rank_one(pixels: FramePixels, directions: tuple[Direction, Direction], 
     for n_sweeps in range(1, max_sweeps + 1):
         x, _ = broadcast(along_x.solve(y))
         y, gain = broadcast(along_y.solve(_scale(x)))
-        mode = Mode(scale_modes(along_x.line, along_y.line, _scale(x)[None], y[None]), gain, n_sweeps)
-        if before is not None and broadcast(_change(before, mode.field) <= stagnation):
+        found = scale_modes(along_x.line, along_y.line, _scale(x)[None], y[None])
+        change = float("nan") if before is None else broadcast(_change(before, found))
+        mode = Mode(found, gain, n_sweeps, change)
+        if change <= stagnation:
             break
-        before, y = mode.field, _scale(y)
+        before, y = found, _scale(y)
     return mode
 
 

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from ddic.arrays import Array
 from ddic.errors import DdicError, FactorizationError, SingularSubdomainError
-from ddic.functionals.scale_rows import scale_rows, sum_column_squares
+from ddic.functionals.regularization import scale_rows, sum_column_squares
 from ddic.parallel.field import Field
 from ddic.partition.subdomain import Subdomain
 from ddic.solvers.linear_step import AllowedError, StepResult

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from ddic.arrays import Array, IntArray
 from ddic.errors import ConvergenceError, FactorizationError, SingularSubdomainError, as_collective
-from ddic.functionals.scale_rows import scale_rows, sum_column_squares
+from ddic.functionals.regularization import scale_rows, sum_column_squares
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain

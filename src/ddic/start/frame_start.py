@@ -61,9 +61,28 @@ class FrameStart:
     clock: PhaseClock
 
 
+@dataclass(frozen=True, eq=False)
+class FoundStart:
+    """Where Gauss-Newton starts.
+
+    Attributes
+    ----------
+    q : Field
+        Unknowns.
+    notes : tuple of str
+        How they were found.
+    independent : list of (n_dofs,) array, or None
+        What each owned subdomain measured by itself, pixels, as if no set-up had moved; where a case asks for it.
+    """
+
+    q: Field
+    notes: tuple[str, ...]
+    independent: list[Array] | None = None
+
+
 def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: list[MultilevelStart] | None,
-               begin: KnownStart | None) -> tuple[Field, tuple[str, ...]]:
-    """Find where Gauss-Newton starts, with notes how; collective.
+               begin: KnownStart | None) -> FoundStart:
+    """Find where Gauss-Newton starts; collective.
 
     ``found`` are coarse fields that were found already, by camera. ``begin`` are unknowns of an earlier frame, which
     replace all stages; or a displacement from which they go on, in place of what the case gives. Raises InputError and
@@ -74,7 +93,7 @@ def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: li
     if isinstance(begin, EarlierResult | StartPoints):
         by, found = replace(by, search=replace(by.search, given=begin)), None
     elif begin is not None:
-        return Field(team, subdomains, begin), ("start: an earlier frame",)
+        return FoundStart(Field(team, subdomains, begin), ("start: an earlier frame",))
     search = by.search
     with by.clock.phase(Phase.START):
         if found is None:
@@ -85,8 +104,12 @@ def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: li
     with by.clock.phase(Phase.INDEPENDENT_START):
         q, of_refinement = _refine_independently(by, views, q)
         notes = (*notes, *of_refinement)
+        independent = None
+        if of_refinement and reference.inputs.case.output.independent_fields:
+            still, _ = hold_set_ups_still(subdomains, views)
+            independent = [subdomain.displacement(field) for subdomain, field in zip(still, q, strict=True)]
         if len(search.cameras) == 1:
-            return q, notes
+            return FoundStart(q, notes, independent)
         motions = start_motions(search.cameras, q)
         noise: Sequence[float] = problem.noise
         if not problem.is_set_up:
@@ -96,7 +119,7 @@ def find_start(by: FrameStart, frame: Frame, views: ByView[FrameView], found: li
     kinematics = [own.kinematics for own, *_ in reference.views]
     with_motions = team.together(lambda: q.map(
         lambda subdomain, field, of_own: _join_motion(of_own, field, motions[subdomain.camera]), kinematics))
-    return with_motions, (*notes, *_describe_noise(search.cameras, noise))
+    return FoundStart(with_motions, (*notes, *_describe_noise(search.cameras, noise)), independent)
 
 
 def _refine_independently(by: FrameStart, views: ByView[FrameView], q: Field) -> tuple[Field, tuple[str, ...]]:

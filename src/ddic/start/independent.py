@@ -21,14 +21,14 @@ from ddic.images.window import Window
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import PhaseClock
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.assembly import SINGULAR, find_eta, weigh_rows
 from ddic.problem.reference_problem import Hessians, hold_set_ups_still, project_hessians
 from ddic.problem.region_mesh import ProbeWaves
 from ddic.problem.residual_model import ResidualModel, is_deformation_large
 from ddic.solvers.correction_size import Tolerances
-from ddic.solvers.gauss_newton import Progress, gauss_newton
+from ddic.solvers.gauss_newton import Progress, Report, gauss_newton, stay_silent
 from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from ddic.start.coarse_displacement import LevelMesh
 
@@ -93,12 +93,12 @@ def _find_thresholds(team: Team, subdomains: Sequence[Subdomain],
 
 
 def _iterate(model: ResidualModel, system: LocalSystem, smallest_eigenvalue: float, start: Array,
-             tolerances: Tolerances, where: str) -> Array:
+             tolerances: Tolerances, where: str, report: Report = stay_silent) -> Array:
     """Gauss-Newton on one domain: the unknowns of its only subdomain."""
     operator = LocalOperator(system.operator, smallest_eigenvalue=smallest_eigenvalue, where=where)
     try:
         return gauss_newton(model, _as_field(model, start), MonolithicStep(system, operator), tolerances,
-                            Progress(PhaseClock())).q[0]
+                            Progress(PhaseClock(), report)).q[0]
     except ConvergenceError as error:
         # What was found on the way is no result, and holds what cannot be sent to other ranks.
         error.last = None
@@ -146,12 +146,12 @@ class Images:
 
 
 def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances: Tolerances,
-                    starts: Sequence[Array], where: str) -> Array:
+                    starts: Sequence[Array], where: str, report: Report = stay_silent) -> Array:
     """Correlate some cells from the best of some starts, with a cut-off wavelength; pixels of the images.
 
     Of ``starts``, at least one displacement of the nodes, (n_dofs,), that of least residual is taken. ``where`` says
-    what is measured, for messages. Raises ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError
-    where the pixels do not determine the displacement.
+    what is measured, for messages; ``report`` is told of every iteration. Raises ConvergenceError where Gauss-Newton
+    does not converge, SingularSubdomainError where the pixels do not determine the displacement.
     """
     model = _read(images, cells)
     (subdomain,), ((view,),) = model.subdomains, model.views
@@ -162,7 +162,7 @@ def correlate_alone(images: Images, cells: LevelMesh, cut_off: float, tolerances
     model = model.with_large_gradients(_as_field(model, q))
     system = _regularize(subdomain, view.with_moved_gradient(q) if model.follows else view, cut_off)
     smallest_eigenvalue = SINGULAR_ALONE * float(system.hessian.diagonal().mean())
-    return subdomain.displacement(_iterate(model, system, smallest_eigenvalue, q, tolerances, where))
+    return subdomain.displacement(_iterate(model, system, smallest_eigenvalue, q, tolerances, where, report))
 
 
 def _read(images: Images, cells: LevelMesh) -> ResidualModel:

@@ -19,6 +19,7 @@ from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.solvers.correction_size import Tolerances
+from ddic.solvers.gauss_newton import Report, stay_silent
 from ddic.start.binned_pair import CELL, BinnedPair, BlockGrid, build_grid, choose_grid_lines, make_grid_field
 from ddic.start.coarse_displacement import CoarseField, CutField, LevelMesh, cut_level, evaluate_at_nodes
 from ddic.start.helpers import Helpers, PairOfRank
@@ -50,19 +51,19 @@ MeasurementError = ConvergenceError | SingularSubdomainError
 
 
 def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField], correction: GreyCorrection,
-                    discontinuities: Discontinuities) -> CoarseField:
+                    discontinuities: Discontinuities, report: Report = stay_silent) -> CoarseField:
     """Correlate one level from the best of some starts; displacements, the whole mesh and the lines are in pixels.
 
-    Of ``starts``, at least one, that of least residual is taken; ``discontinuities`` cut the level's grid. Raises
-    ConvergenceError where Gauss-Newton does not converge, SingularSubdomainError where the blocks do not determine the
-    displacement.
+    Of ``starts``, at least one, that of least residual is taken; ``discontinuities`` cut the level's grid; ``report``
+    is told of every iteration, in blocks. Raises ConvergenceError where Gauss-Newton does not converge,
+    SingularSubdomainError where the blocks do not determine the displacement.
     """
     region = pair.scale(mesh)
     lines = choose_grid_lines(region, pair)
     grid, cells, images = _open_level(pair, region, lines, pair.reference.extent, discontinuities, correction)
     in_pixels = pair.scale_to_pixels(cells.mesh)
     candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
-    displacement = _correlate(images, cells, candidates, pair.factor)
+    displacement = _correlate(images, cells, candidates, pair.factor, report)
     if cells.mesh.parts is None:
         return make_grid_field(lines, grid.place_on_grid(displacement), pair)
     return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
@@ -80,10 +81,11 @@ def _open_level(pair: BinnedPair, region: Mesh, lines: GridLines, window: Window
     return grid, cells, images
 
 
-def _correlate(images: Images, cells: LevelMesh, candidates: Sequence[Array], size: int) -> Array:
+def _correlate(images: Images, cells: LevelMesh, candidates: Sequence[Array], size: int,
+               report: Report = stay_silent) -> Array:
     """Displacement of the nodes, blocks of ``size`` pixels, from the best of the candidates."""
     where = f"pyramid level with blocks of {size} px"
-    return correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where)
+    return correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where, report)
 
 
 @dataclass(frozen=True, eq=False)

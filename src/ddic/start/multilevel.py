@@ -7,9 +7,9 @@ field. A level of the pyramid is R-DIC on a square grid over binned images. From
 pyramid needs some of its levels, or none; a frame that jumps needs it moved on by a translation first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ddic.images.rigid import GridField, RigidShift, build_uniform_field
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
+from ddic.solvers.gauss_newton import IterationRecord
 from ddic.start.binned_pair import (
     BinnedPair,
     choose_block_sizes,
@@ -119,6 +120,10 @@ class MultilevelStart:
         return tuple(lines)
 
 
+def stay_silent_of_level(size: int, record: IterationRecord) -> None:
+    """Report nothing."""
+
+
 @dataclass(frozen=True, eq=False)
 class Pyramid:
     """An image pair in blocks of several sizes, and what is measured on it.
@@ -137,6 +142,9 @@ class Pyramid:
         Side, pixels, of the largest blocks on which it is [RHR08, section 3.2].
     helpers : Helpers, optional
         Ranks that help with all pixels of the images; then levels of many blocks are correlated in tiles.
+    report : callable
+        Told of the block size of a level, pixels, and of each of its iterations, in blocks; by default nobody is, nor
+        of levels in tiles.
     """
 
     pair: BinnedPair
@@ -145,6 +153,7 @@ class Pyramid:
     discontinuities: Discontinuities = NO_LINES
     largest_block: float = np.inf
     helpers: Helpers | None = None
+    report: Callable[[int, IterationRecord], None] = stay_silent_of_level
 
     @cached_property
     def sizes(self) -> list[int]:
@@ -249,7 +258,8 @@ class Pyramid:
         """The field of one level, and warnings."""
         if self.helpers is None or not self._is_tiled(size):
             lines = self.discontinuities if size <= self.largest_block else NO_LINES
-            return correlate_level(self.read_whole(size), self.mesh, starts, self.correction, lines), []
+            return correlate_level(self.read_whole(size), self.mesh, starts, self.correction, lines,
+                                   partial(self.report, size)), []
         level = correlate_in_tiles(self.helpers, size, self.mesh, starts, self.correction)
         warnings = []
         if level.errors:

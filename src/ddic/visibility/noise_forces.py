@@ -16,7 +16,7 @@ much.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -273,13 +273,18 @@ def _sample(model: ResidualModel, covariances: ByView[Array], case: Case, transf
 
 
 def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
-    """Tell each cell's column and row of cells, (n_cells, 2), as in a regular mesh of as many cells; collective."""
-    area, n_cells = team.ordered_sum([np.array([measure_covered_areas(s.mesh)[0].sum(), s.mesh.n_cells])
+    """Tell each cell's column and row of cells, (n_cells, 2), as in a regular mesh of as many cells; collective.
+
+    The parts of a cut cell have that of the whole one: elsewhere they would meet another cell's.
+    """
+    # A part counts as its share of the whole cell.
+    area, n_cells = team.ordered_sum([np.array([of_cells.sum() for of_cells in measure_covered_areas(s.mesh)])
                                       for s in subdomains])
-    lowest = np.min([s.mesh.centroids.min(axis=0) for s in subdomains], axis=0)
+    middles = [s.mesh.centroids if s.mesh.parts is None else replace(s.mesh, parts=None).centroids for s in subdomains]
+    lowest = np.min([of_cells.min(axis=0) for of_cells in middles], axis=0)
     first, size = -team.maximum(-lowest), np.sqrt(area / n_cells)
     # The cells of a regular mesh lie in the middle of their places: rounding decides nothing.
-    return [np.floor((s.mesh.centroids - first) / size + 0.5).astype(np.int64) for s in subdomains]
+    return [np.floor((of_cells - first) / size + 0.5).astype(np.int64) for of_cells in middles]
 
 
 def _assemble(view: View, forces: Array) -> Array:

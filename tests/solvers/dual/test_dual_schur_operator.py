@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ddic.parallel.team import Team
-from ddic.partition.build_subdomains import build_subdomains
+from ddic.partition.sharing import build_subdomains
 from ddic.partition.subdomain import Interface, Weighting, interface_weights
 from ddic.solvers.dual.dual_problem import DualSchurOperator
 from ddic.solvers.exchange import Exchange

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from scipy import linalg, sparse
 
 from ddic.arrays import Array, IntArray
-from ddic.functionals.scale_rows import scale_rows
+from ddic.functionals.regularization import scale_rows
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import rows_of, signed_incidence

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, Literal
 
 import numpy as np
@@ -155,13 +155,24 @@ def render(opened: Opened, size: int, noise: float = 0.0, seed: int = 0, *, spec
     texture, random = SpeckleTexture(3, size_factor=speckle), np.random.default_rng(seed)
     y, x = np.mgrid[0:size, 0:size].astype(float)
     points = np.column_stack([x.ravel(), y.ravel()])
+    # In the gap between sides that part, the nearer one; where they overlap, any.
+    origins = _find_origins(opened, points, opened.find_sides(points - opened.offset))
+    for sides in product((0.0, 1.0), repeat=len(opened.lines)):
+        of_sides = np.broadcast_to(sides, (len(points), len(sides)))
+        there = _find_origins(opened, points, of_sides)
+        is_own = (opened.find_sides(there) == of_sides).all(axis=1)
+        origins[is_own] = there[is_own]
+    return (picture(texture, points, bits, noise * random.standard_normal(len(points))).reshape(size, size),
+            picture(texture, origins, bits, noise * random.standard_normal(len(points))).reshape(size, size))
+
+
+def _find_origins(opened: Opened, points: Array, sides: Array) -> Array:
+    """Where points of the deformed image came from, all being of given sides."""
     origins = points - opened.offset
-    sides = opened.find_sides(origins)
     for _ in range(5):
         # The displacement is linear on each side, and small: this converges by its gradient.
         origins = points - opened.displacement(origins, sides)
-    return (picture(texture, points, bits, noise * random.standard_normal(len(points))).reshape(size, size),
-            picture(texture, origins, bits, noise * random.standard_normal(len(points))).reshape(size, size))
+    return origins
 
 
 def picture(texture: SpeckleTexture, origins: Array, bits: int, noise: Array) -> NDArray[Any]:

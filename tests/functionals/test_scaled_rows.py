@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from ddic.functionals import scale_rows as module
-from ddic.functionals.scale_rows import scale_rows, sum_column_squares
+from ddic.functionals import regularization as module
+from ddic.functionals.regularization import scale_rows, sum_column_squares
 
 
 def test_rows_are_scaled_as_by_a_diagonal_matrix_and_the_matrix_stays() -> None:
