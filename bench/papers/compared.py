@@ -60,5 +60,7 @@ def format_tables(found: Sequence[Compared]) -> str:
             lines += ["", f"{setting[0].upper()}{setting[1:]}:", "",
                       "| | what | the paper | ddic | what differs |", "|---|---|---|---|---|"]
         ours = f"{one.ours} ({one.bound})" if one.bound else one.ours
-        lines.append(f"| {one.place} | {one.what} | {one.paper} | {ours} | {one.why} |")
+        # A bar would end the cell.
+        cells = [cell.replace("|", r"\|") for cell in (one.place, one.what, one.paper, ours, one.why)]
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
