@@ -23,6 +23,7 @@ from ddic.detection.refine_line import (
     refine_line,
 )
 from ddic.detection.strain_band import RadonTransform, StandingOut, StrainBand, compute_tresca_strain
+from ddic.errors import ConvergenceError
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.kinematics.enriched import Discontinuities, Opening
@@ -170,8 +171,7 @@ class _Search:
             band = standing_out.find_band(transform)
             if band.score < LEAST_SCORE:
                 if not found and not notes:
-                    notes.append(f"no line; no band of strain stands out (score {band.score:.1f}, {LEAST_SCORE:g} "
-                                 "asked for)")
+                    notes.append(f"no band of strain stands out (score {band.score:.1f}, {LEAST_SCORE:g} asked for)")
                 break
             where = f"where strain stands out (score {band.score:.1f})"
             if len(found) == MOST_LINES:
@@ -182,7 +182,7 @@ class _Search:
             except UNMEASURABLE as error:
                 against = f"could be measured: {error}"
             if against:
-                notes.append(f"no line; {where} no line {against}" if not found else f"{where} no line {against}")
+                notes.append(f"{where} no line {against}")
             about = [band.line, *(one.line for one in found)]
             distance = np.min([measure_distance(self.mesh.centroids, line) for line in about], axis=0)
             is_seen &= distance > ABOUT * standing_out.size
@@ -222,8 +222,13 @@ class _Search:
             away = np.minimum(away, measure_distance(self.mesh.centroids, other))
         alone = UncertainLine(Discontinuities((line,), (self.opening,)), 0, UNCERTAIN * size)
         failures: list[Exception] = []
+        is_near = measure_distance(self.mesh.centroids, line) <= size
         for aside in ASIDE[:1] if len(lines) == 1 else ASIDE:
-            mesh, nodes = self.mesh.create_submesh(np.flatnonzero(away > aside * size))
+            is_away = away > aside * size
+            if not (is_near & is_away).any():
+                failures.append(ConvergenceError("it runs along another line"))
+                continue
+            mesh, nodes = self.mesh.create_submesh(np.flatnonzero(is_away))
             displacement = self.displacement[nodes]
             try:
                 refined = refine_line(self.images, mesh, CutField(mesh, displacement), alone, STILL)
@@ -350,9 +355,9 @@ def _clip_to_region(mesh: Mesh, line: Array) -> Array:
 
 
 def _describe(found: Sequence[_Straight], lines: Sequence[Array]) -> list[str]:
-    """What is to be told of lines that were found; nothing without any."""
+    """What is to be told of lines that were found."""
     if not found:
-        return []
+        return ["no line"]
     where = " and ".join(" to ".join(f"({x:.2f}, {y:.2f})" for x, y in line) for line in lines)
     scores = ", ".join(f"{one.score:.1f}" for one in found)
     moves = ", ".join(str(one.refined.n_moves) for one in found)
