@@ -17,16 +17,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bench.papers.compared import Compared
-from bench.support.drawn_meshes import (
-    MovedMesh,
-    draw_subdomains,
-    frame_parts,
-    read_independent_fields,
-    split_by_subdomain,
-)
+from bench.support.drawn_meshes import MovedMesh, draw_subdomains, frame_parts, split_by_subdomain
 from bench.support.loaded_beam import ELEMENT, PAPER_BEAM, SMALL_BEAM, BeamFiles, prepare_beam
 from bench.support.runs import ddic_run
-from ddic.io.result_reader import Result, read_result
+from ddic.io.result_reader import Result, read_independent_fields, read_result
 from ddic.plots.canvas import ColourScale, draw_cell_colours
 
 Array = NDArray[np.float64]
@@ -156,7 +150,7 @@ def _compare_run(setting: str, files: BeamFiles, many: Measured, one: Measured) 
 def _draw_fields(files: BeamFiles, measured: Measured) -> Figure:
     """Independent and coupled fields, of the whole beam and about its hole."""
     result = measured.result
-    alone, coupled = read_independent_fields(result), split_by_subdomain(result, measured.u)
+    alone, coupled = (split_by_subdomain(field) for field in (read_independent_fields(result.path), result))
     figure = Figure(figsize=(10, 9.5), layout="constrained")
     axes: dict[str, Axes] = figure.subplot_mosaic([["a", "a"], ["b", "b"], ["c", "d"]], height_ratios=[1, 1, 2.2])
     kinds = {"independent fields of the subdomains": alone, "coupled": coupled}

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import h5py
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
-from ddic.io.result_reader import Result
+from ddic.io.result_reader import Result, keep_cells
 from ddic.mesh.mesh import Mesh
 
 Array = NDArray[np.float64]
@@ -39,28 +38,10 @@ class MovedMesh:
         return np.array([at.min(axis=0), at.max(axis=0)])
 
 
-def split_by_subdomain(result: Result, u: Array) -> list[MovedMesh]:
-    """Cut a field, (n_nodes, 2), into those of its subdomains."""
-    numbers = np.unique(result.subdomain_ids)
-    cut = (result.mesh.create_submesh(np.flatnonzero(result.subdomain_ids == s)) for s in numbers)
-    return [MovedMesh(mesh, u[nodes]) for mesh, nodes in cut]
-
-
-def read_independent_fields(result: Result) -> list[MovedMesh]:
-    """Read what each subdomain measured by itself: copies of a node differ, so that each piece of the file counts."""
-    with h5py.File(result.path) as file:
-        group = file["VTKHDF"]
-        points, cells = (np.cumsum(group[name][:])[:-1] for name in ("NumberOfPoints", "NumberOfCells"))
-        node_ids = np.split(group["PointData/GlobalNodeId"][:], points)
-        fields = np.split(group["PointData/independent_displacement"][:, :2], points)
-        numbers = [ids[0] for ids in np.split(group["CellData/SubdomainId"][:], cells)]
-    found = []
-    for s in np.unique(result.subdomain_ids):
-        mesh, nodes = result.mesh.create_submesh(np.flatnonzero(result.subdomain_ids == s))
-        piece = numbers.index(s)
-        order = np.argsort(node_ids[piece])
-        found.append(MovedMesh(mesh, fields[piece][order[np.searchsorted(node_ids[piece][order], nodes)]]))
-    return found
+def split_by_subdomain(result: Result) -> list[MovedMesh]:
+    """Cut a field into those of its subdomains."""
+    parts = [keep_cells(result, np.flatnonzero(result.subdomain_ids == s)) for s in np.unique(result.subdomain_ids)]
+    return [MovedMesh(part.mesh, part.displacement) for part in parts]
 
 
 def draw_subdomains(axes: Axes, parts: Sequence[MovedMesh], factor: float, width: float) -> None:
