@@ -64,7 +64,7 @@ def _measure(name: str, draw: Callable[[Random], Opened], n_cases: int, setting:
     return Row(f"{name}, {n_cases} cases, {setting}: all lines found, and no other",
                f"within {DISTANCE_PX} px and {ANGLE_DEGREES} degrees in {SHARE:.0%}",
                f"{sum(are_near)} of {n_cases}, those within {away:.3f} px and {turned:.3f} degrees",
-               bool(sum(are_near) >= SHARE * n_cases))
+               bool(sum(are_near) >= SHARE * n_cases), judged_small=False)
 
 
 def _place_line(angle: float, height: float) -> Array:
