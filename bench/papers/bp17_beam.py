@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.papers.compared import Compared
+from bench.papers.compared import UNKNOWN, Compared
 from bench.support.drawn_meshes import MovedMesh, draw_subdomains, frame_parts, split_by_subdomain
 from bench.support.loaded_beam import ELEMENT, PAPER_BEAM, SMALL_BEAM, BeamFiles, prepare_beam
 from bench.support.runs import ddic_run
@@ -40,7 +40,6 @@ GMRES = "inexact = false\nrecycle = false\ntolerance = 1e-3"
 TIGHT_GMRES = "inexact = false\ntolerance = 1e-9"
 
 PAPER_ERROR, PAPER_ITERATIONS = 1.55e-4, 3
-UNKNOWN = "a number is not known here"
 PAPER_BOUND, CONSISTENT_BOUND = 2e-4, 1e-6
 
 FACTOR, DETAIL_FACTOR = 30.0, 200.0

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
-from bench.papers.compared import Compared
+from bench.papers.compared import UNKNOWN, Compared
 from bench.support.first_step import Curve, FirstStep, count_iterations, prepare_first_step
 from bench.support.loaded_beam import SMALL_BEAM, prepare_beam
 from ddic.case.loader import parse_case_text
@@ -193,7 +193,7 @@ def invert_diagonal_blocks(schur: Array, n_jumps: int) -> Array:
 
 
 def _list_rows(setting: str, tried: dict[str, Tried]) -> list[Compared]:
-    subject = "the remark is about MINRES on S_tot; a number is not known here"
+    subject = f"the remark is about MINRES on S_tot; {UNKNOWN}"
     return [Compared(PLACE, f"{NAMES[name]}: iterations to a displacement error of {TARGET:g}", setting, subject,
                      _describe(one), _explain(name)) for name, one in tried.items()]
 

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bench.papers.compared import Compared
+from bench.papers.compared import UNKNOWN, Compared
 from bench.support.drawn_meshes import MovedMesh
 from bench.support.near_far_case import (
     AROUND,
@@ -53,8 +53,6 @@ RAW, LESS, EQ_21, EQ_23 = "as measured", "less alpha0, Eq. 22", "continuous, Eq.
 SHOWN = {RAW: "panel of the fields as measured", LESS: "panel of the fields less alpha0",
          EQ_21: "panel of Eq. 21", EQ_23: "panel of Eq. 23"}
 """What the paper's figure has."""
-
-UNKNOWN = "a number is not known here"
 
 JUMP_BOUND = 1e-3
 """Pixels, of fields that are coupled; far below the jumps of those that are not."""

@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bench.papers.compared import Compared
+from bench.papers.compared import UNKNOWN, Compared
 from bench.support.first_step import Curve, FirstStep, find_error_curve, find_error_points, prepare_first_step
 from bench.support.loaded_beam import PAPER_BEAM, SMALL_BEAM, prepare_beam
 from bench.support.step_problem import ALONE
@@ -177,7 +177,7 @@ def find_curves(first: FirstStep, setting: Setting, spent: dict[str, Spent]) -> 
 def list_rows(text: str, setting: Setting, spent: dict[str, Spent], chosen: str) -> list[Compared]:
     """List what each preconditioner took beside none."""
     none = spent["none"]
-    found = [Compared(PLACE, NAMES["none"], text, "a number is not known here",
+    found = [Compared(PLACE, NAMES["none"], text, UNKNOWN,
                       f"{_count(none)}; {none.solve:.1f} s")]
     for kind in KINDS[1:]:
         one = spent[kind]

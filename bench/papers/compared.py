@@ -7,6 +7,12 @@ from dataclasses import dataclass
 
 from bench.support.rows import Row
 
+UNREAD = "drawn; no number is read from it"
+"""Of a figure of a paper whose values its text does not give."""
+
+UNKNOWN = "a number is not known here"
+"""Of what a paper may tell, and what is cited of it does not."""
+
 
 @dataclass(frozen=True)
 class Compared:

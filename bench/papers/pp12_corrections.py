@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import ddic
-from bench.papers.compared import Compared
+from bench.papers.compared import UNREAD, Compared
 from bench.support.error_maps import MapRow, draw_maps
 from bench.support.separated_cases import (
     ELEMENT,
@@ -53,9 +53,6 @@ STAGNATION = 1e-3
 SETTING = ("first example: 500 x 500 px gradient noise, plate of 304 x 304 px clamped on its left side, largest "
            "displacement 2 px, 16-px elements, from a rigid translation; published algorithm: no update, no stop at "
            "noise")
-
-UNREAD = "drawn; no number is read from it"
-"""Of a figure of the paper whose values its text does not give."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ddic
-from bench.papers.compared import Compared
-from bench.papers.pp12_corrections import ETA, UNREAD, count_below, describe_count, measure_q4
+from bench.papers.compared import UNREAD, Compared
+from bench.papers.pp12_corrections import ETA, count_below, describe_count, measure_q4
 from bench.support.error_maps import MapRow, draw_maps
 from bench.support.opened_pair import Crack
 from bench.support.separated_cases import (

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bench.papers.compared import Compared
-from bench.papers.pp12_corrections import ETA, UNREAD, measure_q4
+from bench.papers.compared import UNREAD, Compared
+from bench.papers.pp12_corrections import ETA, measure_q4
 from bench.support.error_maps import MapRow, draw_maps
 from bench.support.separated_cases import (
     OCTAVES,

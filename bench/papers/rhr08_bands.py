@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ddic
-from bench.papers.compared import Compared
+from bench.papers.compared import UNREAD, Compared
 from bench.support.line_panels import (
     BAND,
     OpeningCurve,
@@ -45,8 +45,6 @@ the length in which the jump grows as tanh of the distance from the band's middl
 
 DISTANCE_PX, ANGLE_DEGREES = 0.3, 0.2
 """Farthest that the line may be from its place at the middle of the image, and be turned."""
-
-UNREAD = "drawn; no number is read from it"
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import ddic
-from bench.papers.compared import Compared
+from bench.papers.compared import UNREAD, Compared
 from bench.support.line_panels import (
     compare_opening,
     describe_noise,
@@ -59,8 +59,6 @@ OWN_PIXELS = 1
 
 SHOWN = 0.05
 """CPU seconds from which on a phase is named."""
-
-UNREAD = "drawn; no number is read from it"
 
 ENRICHED, CONTINUOUS = "enriched", "continuous"
 KINDS = (CONTINUOUS, ENRICHED)
