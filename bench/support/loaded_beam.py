@@ -21,9 +21,10 @@ from bench.support.paper_mesh import write_gmsh_mesh
 from bench.support.runs import source_version
 from ddic.functionals.regularization import Material, assemble_stiffness
 from ddic.images.rigid import GridField
-from ddic.io.mesh_file import read_mesh
+from ddic.io.mesh_file import read_mesh, write_mesh
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Mesh, Similarity
+from ddic.mesh.structured import build_structured_mesh
 from ddic.solvers.local_system import LocalOperator
 from ddic.synth.render import Digitiser, Picture, Scene, write_pair
 from ddic.synth.speckle import SpeckleTexture
@@ -63,6 +64,8 @@ class Beam:
         Of the axis, by tension.
     curvature : float
         Of the axis, by bending, 1/px.
+    by_gmsh : bool
+        Whether Gmsh makes its meshes, as mixed ones of T3 and Q4; else they are ddic's regular ones.
     """
 
     width: int
@@ -73,18 +76,33 @@ class Beam:
     subdomains: int
     strain: float = 1e-3
     curvature: float = 5e-6
+    by_gmsh: bool = True
 
     @property
     def text(self) -> str:
         """What it is, in words."""
         x0, y0, x1, y1 = self.region
+        cells = f"T3 and Q4 of {ELEMENT:g} px by Gmsh" if self.by_gmsh else f"ddic's regular mesh of {ELEMENT:g} px"
         return (f"beam of {x1 - x0:.0f} x {y1 - y0:.0f} px with a hole of {2 * self.radius:.0f} px in an image of "
-                f"{self.width} x {self.height} px, 8 bit, noise of {NOISE:g} grey levels, T3 and Q4 of {ELEMENT:g} px "
-                f"by Gmsh, {self.subdomains} subdomains")
+                f"{self.width} x {self.height} px, 8 bit, noise of {NOISE:g} grey levels, {cells}, "
+                f"{self.subdomains} subdomains")
+
+    @property
+    def mesh_file(self) -> str:
+        """Name of the file of the mesh of a measurement."""
+        return "beam.msh" if self.by_gmsh else "beam.vtu"
+
+    def write_mesh(self, path: Path, element_size: float) -> None:
+        """Write a mesh of elements of some size, pixels."""
+        hole = (self.center, self.radius)
+        if self.by_gmsh:
+            write_gmsh_mesh(path, self.region, element_size, hole)
+        else:
+            write_mesh(path, build_structured_mesh(self.region, element_size, circles=[hole]))
 
 
 PAPER_BEAM = Beam(WIDTH, HEIGHT, BEAM, (3287.5, 2191.5), 103.0, SUBDOMAINS)
-SMALL_BEAM = Beam(1360, 460, (80.0, 80.0, 1280.0, 380.0), (679.5, 229.5), 50.0, 16, curvature=2.5e-5)
+SMALL_BEAM = Beam(1360, 460, (80.0, 80.0, 1280.0, 380.0), (679.5, 229.5), 50.0, 16, curvature=2.5e-5, by_gmsh=False)
 
 
 @dataclass(frozen=True)
@@ -114,8 +132,8 @@ def load_beam(beam: Beam, folder: Path) -> LoadedField:
 
     Plane stress. Stresses on both ends are those of tension and bending far from the hole; all other edges are free.
     """
-    path = folder / "fine.msh"
-    write_gmsh_mesh(path, beam.region, ELEMENT / FINER, (beam.center, beam.radius))
+    path = folder / f"fine_{beam.mesh_file}"
+    beam.write_mesh(path, ELEMENT / FINER)
     mesh = read_mesh(path, Similarity())
     u = _solve(mesh, _load_ends(beam, mesh))
     x0, y0, x1, y1 = beam.region
@@ -177,7 +195,7 @@ class BeamFiles:
     beam : Beam
         It.
     folder : Path
-        Where reference.tif, deformed.tif and beam.msh are.
+        Where reference.tif, deformed.tif and the mesh are.
     field : LoadedField
         The displacement between the images.
     """
@@ -195,7 +213,7 @@ class BeamFiles:
         x0, y0, x1, y1 = self.beam.region
         ends = [[x - 0.5, y0 - 0.5, x + 0.5, y1 + 0.5] for x in (x0, x1)]
         return (f'{name_images(self.folder / "reference.tif", self.folder / "deformed.tif")}'
-                f'[mesh]\nfile = "{self.folder / "beam.msh"}"\n'
+                f'[mesh]\nfile = "{self.folder / self.beam.mesh_file}"\n'
                 '[correlation]\ngrey_correction = "none"\nspoilt_pixels = "keep"\n'
                 f"[regularization]\ncut_off_wavelength = {wavelength:g}\nnot_controlled = []\nboxes = {ends}\n"
                 f"edge_wavelength = 0\npoisson_ratio = {POISSON_RATIO}\n"
@@ -215,6 +233,6 @@ def prepare_beam(beam: Beam, folder: Path) -> BeamFiles:
 def _make(beam: Beam, folder: Path) -> None:
     field = load_beam(beam, folder)
     np.savez(folder / "field.npz", origin=field.grid.origin, spacing=field.grid.spacing, values=field.grid.values)
-    write_gmsh_mesh(folder / "beam.msh", beam.region, ELEMENT, (beam.center, beam.radius))
+    beam.write_mesh(folder / beam.mesh_file, ELEMENT)
     paths = folder / "reference.tif", folder / "deformed.tif"
     write_pair(paths, Scene(SpeckleTexture(), field), Picture(beam.width, beam.height, Digitiser(8, NOISE)))
