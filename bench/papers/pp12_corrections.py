@@ -144,7 +144,7 @@ def draw_followed(found: Followed) -> Figure:
         axes.semilogy(number, np.where(values > 0, values, np.nan), style, color=colour, markersize=4, linewidth=1.3,
                       label=label)
     axes.axhline(ETA, color="tab:grey", linewidth=0.8)
-    axes.set(xlabel="correction [-]", ylabel="relative to the displacement [-]", xticks=number[::2])
+    axes.set(xlabel="correction [-]", ylabel="relative size [-]", xticks=number[::2])
     axes.grid(which="both", alpha=0.25)
     axes.legend(fontsize="x-small")
     return figure

@@ -41,6 +41,9 @@ SIZE, SIDE, SMOKE_SIZE, SMOKE_SIDE = 1024, 710, 256, 120
 WAVELENGTHS, SMOKE_WAVELENGTHS = (16, 32, 64, 128, 256), (16, 32, 64)
 """Cut-off, pixels: each stands for a weight of the Tikhonov term."""
 
+LONGEST_MAPPED = 64
+"""Cut-off, pixels, up to which errors are mapped: larger ones would hide theirs."""
+
 NOISY = "8 bit, noise of 2"
 
 PAPER_RESIDUAL = 0.59
@@ -112,10 +115,11 @@ def draw_series(found: Mapping[str, Series]) -> Figure:
 
 
 def draw_weights(series: Mapping[str, Series], region: tuple[float, float, float, float]) -> Figure:
-    """Draw the errors of u_x by cut-off wavelength, a row a kind of images."""
+    """Draw the errors of u_x by cut-off wavelength up to LONGEST_MAPPED, a row a kind of images."""
     n = int(region[3] - region[1])
     return draw_maps([MapRow(f"error of u_x [px], {kind}", {f"cut-off {wavelength:g} px": one.error[:, 0].reshape(n, n)
-                                                           for wavelength, one in of_kind.items()})
+                                                           for wavelength, one in of_kind.items()
+                                                           if wavelength <= LONGEST_MAPPED})
                       for kind, of_kind in series.items()], region)
 
 

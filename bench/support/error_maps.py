@@ -50,15 +50,16 @@ def find_limits(rows: Sequence[MapRow]) -> tuple[float, float]:
 
 
 def draw_maps(rows: Sequence[MapRow], region: tuple[float, float, float, float]) -> Figure:
-    """Draw rows of maps of a region, x0, y0, x1, y1, pixels, in image coordinates."""
+    """Draw rows of maps of a region, x0, y0, x1, y1, pixels, in image coordinates; short rows begin farther right."""
     n_columns = max(len(row.maps) for row in rows)
     figure = Figure(figsize=(PANEL_INCHES * n_columns + 0.8, PANEL_INCHES * len(rows)), layout="constrained")
     panels = figure.subplots(len(rows), n_columns, squeeze=False)
     for row, of_row in zip(rows, panels, strict=True):
         low, high = find_limits([other for other in rows if other.label == row.label])
-        for axes in of_row[len(row.maps):]:
+        n_empty = n_columns - len(row.maps)
+        for axes in of_row[:n_empty]:
             axes.set_axis_off()
-        for axes, (title, values) in zip(of_row, row.maps.items(), strict=False):
+        for axes, (title, values) in zip(of_row[n_empty:], row.maps.items(), strict=True):
             drawn = axes.imshow(values, cmap="RdBu_r" if row.signed else COLOURS, vmin=low, vmax=high,
                                 extent=(region[0], region[2], region[3], region[1]), interpolation="nearest")
             axes.set_title(title, fontsize="small")
@@ -66,4 +67,9 @@ def draw_maps(rows: Sequence[MapRow], region: tuple[float, float, float, float])
         bar = figure.colorbar(drawn, ax=list(of_row), shrink=0.85, extend="both")
         bar.set_label(row.label, fontsize="small")
         bar.ax.tick_params(labelsize="x-small")
+    # Once for each row and column.
+    for of_row in panels:
+        next(axes for axes in of_row if axes.axison).set_ylabel("y [px]", fontsize="small")
+    for of_column in panels[::-1].T:
+        next(axes for axes in of_column if axes.axison).set_xlabel("x [px]", fontsize="small")
     return figure

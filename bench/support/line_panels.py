@@ -1,4 +1,4 @@
-"""What chapters about lines share: residuals in per cent of the dynamic range, and openings along a line."""
+"""What chapters about lines share: residuals in per cent of the dynamic range, openings along a line, points."""
 
 from __future__ import annotations
 
@@ -23,6 +23,14 @@ BLOCK = 4
 
 BRIGHTEST = 99.5
 """Percentile of a map at which its colours end."""
+
+N_POINTS = 20000
+"""Places at which a displacement is compared with the known one."""
+
+
+def scatter_points(mesh: ddic.Mesh) -> Array:
+    """Scatter points all over a rectangular mesh, (n, 2), pixels."""
+    return np.random.default_rng(0).uniform(mesh.nodes.min(axis=0), mesh.nodes.max(axis=0), (N_POINTS, 2))
 
 
 def find_dynamic_range(image: NDArray[Any]) -> float:
@@ -59,7 +67,7 @@ def draw_residuals(results: Mapping[str, ddic.Result], image: NDArray[Any]) -> F
         height, width = BLOCK * np.array(values.shape) - 0.5
         shown = axes.imshow(values, cmap="viridis", vmin=0.0, vmax=largest, extent=(-0.5, width, height, -0.5))
         axes.set(title=f"{name}: {measure_residual(results[name], image):.2f} %", xlabel="x [px]", ylabel="y [px]")
-    figure.colorbar(shown, ax=figure.axes, label="RMS residual [% of the dynamic range]")
+    figure.colorbar(shown, ax=figure.axes, label="RMS residual [% of the dynamic range]", extend="max")
     return figure
 
 

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.support.opened_pair import Opened, render
-from ddic.detection.lines_of_case import LEAST_GAIN
-from ddic.detection.refine_line import UncertainLine, find_move, refine_line
+from ddic.detection.lines_of_case import LEAST_FALL
+from ddic.detection.refine_line import UncertainLine, _Segment, find_move, refine_line
 from ddic.kinematics.enriched import Discontinuities
 from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.structured import build_structured_mesh
@@ -57,7 +57,31 @@ def test_a_line_that_does_not_open_is_not_moved() -> None:
     assert move.distance == 0.0
     # Sides that part by what noise leaves in coarse elements tell nothing either.
     noise = np.random.default_rng(0).normal(0.0, 0.02, cut.mesh.nodes.shape)
-    assert find_move(_render(False, False), cut, noise, uncertain(STRAIGHT)).gain < LEAST_GAIN
+    assert find_move(_render(False, False), cut, noise, uncertain(STRAIGHT)).fall < LEAST_FALL
+
+
+def test_a_line_along_nodes_is_moved_like_any_other() -> None:
+    """The mesh is cut a little beside the nodes, in parts thinner than that."""
+    real, along_nodes = (np.array([[-40.0, height], [300.0, height]]) for height in (130.0, 128.0))
+    opened = Opened((real,), (JUMP,))
+    pair = render(opened, SIDE, noise=1.0, bits=8)
+    images = Images(source(pair[0]), source(pair[1]), np.ones((SIDE, SIDE), np.uint8), 3, "none")
+    cut = cut_mesh(MESH, [along_nodes])
+    sides = Opened((cut.lines[0],), (JUMP,))
+    move = find_move(images, cut, sides.displacement(find_points_on_own_side(cut.mesh)), uncertain(along_nodes))
+    # Pixels are a pixel apart across it.
+    np.testing.assert_allclose(move.line[:, 1], 130.0, atol=0.5)
+
+
+@pytest.mark.parametrize(("height", "counts"), [(-4.5, [0.0, 0.0]), (-1.5, [0.0, 0.0]), (0.5, [0.0, 1.0]),
+                                                (2.99, [1.0, 1.0]), (3.5, [1.0, 1.0]), (9.0, [1.0, 1.0])])
+def test_a_pixel_counts_above_lines_that_are_lower(height: float, counts: list[float]) -> None:
+    """Also beyond both ends of what is searched, here 3 px."""
+    one, middle = np.ones(1), np.full(1, 0.5)
+    segment = _Segment.tabulate(one, one, middle, np.array([height]), (3.0, False, False))
+    costs = segment.costs.sum(axis=0)
+    # From -3 px on, in steps of 0.05 px, to an edge of its bin: at -0.5 px, and at -0.525 for what is above it.
+    np.testing.assert_allclose([costs[60 + 30], costs[60 - 12]], counts, atol=0.01)
 
 
 def test_a_line_in_its_place_stays() -> None:

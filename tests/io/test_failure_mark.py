@@ -24,6 +24,7 @@ from ddic.plots.canvas import WORDS, draw_failures
 from ddic.plots.curves import draw_corrections, draw_krylov, draw_modes, draw_opening
 from ddic.plots.maps import (
     StrainChoice,
+    compute_difference,
     draw_deformed,
     draw_difference,
     draw_displacement,
@@ -59,7 +60,7 @@ DRAWN: dict[str, Callable[[Result], Figure]] = {
     "partition": draw_partition, "deformed": draw_deformed, "displacement": draw_displacement,
     "strain": lambda result: draw_strain(result, StrainChoice(by_cell=True)), "residual": draw_residual,
     "signed-residual": lambda result: draw_residual(result, signed=True),
-    "difference": lambda result: draw_difference(result, result),
+    "difference": lambda result: draw_difference(compute_difference(result, result)),
     "krylov": lambda result: draw_krylov({"": result.krylov}), "opening": lambda _: draw_opening({"line 1": OPENING}),
     "near-far": lambda result: draw_near_far(_two_cameras(result)), "modes": lambda _: draw_modes(_modes()),
     "corrections": lambda _: draw_corrections(TABLE)}
@@ -111,7 +112,7 @@ def test_a_result_that_converged_has_none(result: Result, kind: str) -> None:
 
 
 def test_of_two_results_the_mark_names_the_one(result: Result) -> None:
-    figure = draw_difference(result, result)
+    figure = draw_difference(compute_difference(result, result))
     name = "a_long_name_of_a_frame_of_a_long_series_of_images.not_converged.vtkhdf"
     draw_failures(figure, [result, replace(result, path=Path(name), failure="did not")])
     (mark,) = _find_marks(figure)

@@ -29,6 +29,7 @@ from ddic.plots.figures import Drawing, Look, draw
 from ddic.plots.maps import (
     Preview,
     StrainChoice,
+    compute_difference,
     draw_deformed,
     draw_difference,
     draw_displacement,
@@ -76,7 +77,7 @@ def figures(result: Result, unit: LengthUnit) -> dict[str, Figure]:
                                   [ColourScale((-1e-7, 1e-7))]),
         "residual": draw_residual(result, unit=unit),
         "signed": draw_residual(result, signed=True, unit=unit),
-        "difference": draw_difference(result, result, "y", unit),
+        "difference": draw_difference(compute_difference(result, result), "y", unit),
         "krylov": draw_krylov({result.path.name: result.krylov, "b": result.krylov * 9}),
         "near-far": draw_near_far(result, "magnitude", unit),
         "mesh": draw_mesh_preview(replace(result.mesh, node_sets=sets), image, [line]),

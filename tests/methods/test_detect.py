@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -74,6 +75,21 @@ def test_what_was_seen_is_kept_and_drawn(tmp_path: Path) -> None:
     assert np.median(seen["tresca_strain"][beside > 48.0]) < 0.005
     assert len(result.plot("detection").axes) >= 3
     assert ddic.measure(pair(0.8), MESH).detection == {}
+
+
+def test_damaged_maps_of_what_was_seen_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.vtkhdf"
+    ddic.measure(pair(0.8), MESH, discontinuity="detect", output={"file": path})
+    with h5py.File(path, "r+") as file:
+        values = file["detection/radon_scores"][:]
+        del file["detection/radon_scores"]
+        file["detection/radon_scores"] = values[:-1]
+    with pytest.raises(InputError, match="detection/radon_scores"):
+        ddic.open(path)
+    with h5py.File(path, "r+") as file:
+        del file["detection/radon_scores"]
+    with pytest.raises(InputError, match="radon_scores"):
+        ddic.open(path)
 
 
 def test_session_finds_the_line_in_its_first_image_and_keeps_it() -> None:

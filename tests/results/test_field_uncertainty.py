@@ -16,7 +16,7 @@ from ddic.parallel.team import Team
 from ddic.partition.sharing import build_subdomains
 from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations, find_openings
 from ddic.solvers.dual.dual_step import DualSettings
-from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
+from ddic.solvers.probing import FEWEST_SAMPLES, LARGEST_FORCES, MOST_SAMPLES, prepare_samples
 from ddic.visibility.noise_forces import NoiseForces, place_cells
 from support.linear import Decomposed, StepProblem, dense, linear_step, split
 from support.oracles import make_on_root
@@ -67,6 +67,17 @@ def _estimate(team: Team, wavelength: float | None, kind: str, n: int) -> tuple[
         scale = float(np.sqrt(problem.mean_diagonal)) / SIGMA
         openings = [find_openings(s, ()) for s in parts.subdomains]
         return parts, estimate_deviations(team, parts.subdomains, step, forces, scale, measured, openings)
+
+
+@pytest.mark.parametrize("n_samples", [FEWEST_SAMPLES, MOST_SAMPLES])
+def test_cells_in_one_place_have_signs_of_their_own(n_samples: int) -> None:
+    """As the parts of a cut cell have, and of another one in an irregular mesh: else what noise parts is off."""
+    places, n = np.zeros((4, 2), np.int64), LARGEST_FORCES
+    forces = [prepare_samples(np.tile(np.eye(n), (4, 1, 1)), np.arange(4), places, 0, n_samples).generate_forces(k)
+              for k in range(n_samples)]
+    products = np.einsum("kei,kfi->ef", forces, forces) / (n_samples * n)
+    # Sequences of Walsh are orthogonal.
+    np.testing.assert_allclose(products, np.eye(4), atol=1e-12)
 
 
 @pytest.mark.parallel([1, 3])

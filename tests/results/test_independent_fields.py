@@ -72,6 +72,9 @@ def test_plots_of_fields_apart_and_of_a_difference(tmp_path: Path) -> None:
     lacking = CliRunner().invoke(plot, [str(other), "--kind", "independent"])
     assert lacking.exit_code == 2
     assert "output.independent_fields = true" in lacking.stderr
+    in_memory = ddic.measure(PAIR, MESH, **OPTIONS, output={"independent_fields": True})
+    with pytest.raises(InputError, match="open the file that the measurement wrote"):
+        in_memory.plot("independent")
     compared = CliRunner().invoke(plot, [str(one), "--kind", "difference", "--other", str(other)])
     assert compared.exit_code == 0, compared.output
     told = float(compared.output.split("Err ")[1].split()[0])

@@ -67,6 +67,18 @@ def test_they_are_the_same_on_any_number_of_subdomains() -> None:
         np.testing.assert_allclose(ratio, 1.0, atol=0.06)
 
 
+def test_a_line_that_has_no_place_has_none() -> None:
+    """A line that cuts one element, in which it bends."""
+    short = Opened((np.array([[78.0, 130.0], [90.0, 138.0], [102.0, 130.0]]),), (np.zeros(2),))
+    lines = [*SLID.sections("both"), *short.sections("both")]
+    result = ddic.measure(_draw(0), MESH, discontinuity=lines, **KNOWN)
+    first, second = (ddic.measure_opening(result, number) for number in (1, 2))
+    assert first.sigma_normal is not None
+    assert np.isfinite(first.sigma_normal).all()
+    assert second.sigma_normal is not None
+    assert len(second.distance) == len(second.sigma_normal) == 0
+
+
 def test_tables_and_pictures_show_them(tmp_path: Path) -> None:
     headers = {}
     for name, more in (("plain", {}), ("known", {"uncertainty": True}), ("both", {"uncertainty": True})):

@@ -373,8 +373,9 @@ class DiscontinuitySection(Section):
 
     vertices: Annotated[Points, Field(min_length=2)] | None = None
     """The line in the reference image: two points, or more for a polyline. It may end inside the mesh, where nothing
-    opens ahead of the last element that it crosses from side to side. Left out, a straight line across the whole region
-    is looked for; `discontinuity = "detect"` at the top of the file says the same."""
+    opens ahead of the last element that it crosses from side to side. Left out, up to three lines are looked for, which
+    may cross the region, bend where two meet, or end at one another; `discontinuity = "detect"` at the top of the file
+    says the same."""
 
     opening: Literal["both", "tangential", "normal"] = "both"
     """In which directions the displacement may be discontinuous: any, along the line only (sliding, shear bands), or
@@ -395,7 +396,7 @@ class DiscontinuitySection(Section):
         if self.vertices is not None and any(one == other for one, other in pairwise(self.vertices)):
             yield "discontinuity.vertices: a vertex repeats the one before it"
         if self.tip_functions and self.vertices is None:
-            yield ("discontinuity.tip_functions: a line that is looked for crosses the whole region; give "
+            yield ("discontinuity.tip_functions: a line that is looked for has no tip in the region; give "
                    "discontinuity.vertices up to the tip")
         if self.tip_functions and self.opening != "both":
             yield f'discontinuity.tip_functions: a tip opens in both directions; leave opening = "{self.opening}" out'

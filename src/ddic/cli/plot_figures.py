@@ -63,9 +63,9 @@ def plot_pictures(kinds: Sequence[str], drawing: Drawing, pages: PageFiles, capt
             canvas.save_figure(figure, target, pages.dpi, files)
     for target in targets:
         click.echo(target)
-    if "difference" in kinds and drawing.other is not None:
-        click.echo(f"Err {maps.compute_difference(drawing.result, drawing.other).err:.3e} (Eq. 41 of [BP17]: "
-                   "|difference| / |second result|, all nodes)")
+    if "difference" in kinds:
+        click.echo(f"Err {drawing.compared.err:.3e} (Eq. 41 of [BP17]: |difference| / |second result|, all nodes where "
+                   "both were measured)")
 
 
 def plot_animation(series: SeriesResult, kind: str, drawing: Drawing, pages: PageFiles, fps: float) -> None:

@@ -1,8 +1,9 @@
 """The lines that a case asks for, looked for in its images: up to three, straight, bent, or ending at one another.
 
 Where a line is, the strain of a continuous field stands out in a straight band [RHR08]. Bands are looked for one after
-the other, each without the cells about those before. A line in each is refined with the others in place, and kept as
-far as the images speak for it, piece by piece between the others: what is left of two that end at each other is bent.
+the other, each without the cells about those before. A line in each is refined without the cells about the others, and
+kept as far as the images speak for it, piece by piece between the others: what is left of two that end at each other is
+bent.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ TIMES_CHANCE = 3.0
 misses small jumps, a smaller one takes what elements do not resolve for a line."""
 
 LEAST_SHARE = 0.01
-"""Of the gain by a pixel of a line's best piece, that another piece must have: a tenth of its jump. Beyond a bend,
-elements smear a little of what opens beside."""
+"""Of the fall of squared residuals by a pixel of a line's best piece, that another piece must have: a tenth of its
+jump. Beyond a bend, elements smear a little of what opens beside."""
 
 OUTLIERS = 5.0
 """Standard deviations by which chance may exceed its mean."""
@@ -147,9 +148,9 @@ class _Straight:
     @property
     def open_pieces(self) -> IntArray:
         """Numbers of the pieces that the images speak for, and hardly less than for the best of them."""
-        gains = np.array([piece.gain for piece in self.evidence])
+        falls = np.array([piece.fall for piece in self.evidence])
         speak = np.array([_speaks_for_line(piece) for piece in self.evidence])
-        return np.flatnonzero(speak & (gains >= LEAST_SHARE * gains.max()))
+        return np.flatnonzero(speak & (falls >= LEAST_SHARE * falls.max()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,22 +168,23 @@ class _Search:
         found: list[_Straight] = []
         notes: list[str] = []
         is_seen = np.ones(self.mesh.n_cells, dtype=bool)
-        for _ in range(MOST_BANDS):
+        for n_tried in range(MOST_BANDS + 1):
             band = standing_out.find_band(transform)
             if band.score < LEAST_SCORE:
                 if not found and not notes:
                     notes.append(f"no band of strain stands out (score {band.score:.1f}, {LEAST_SCORE:g} asked for)")
                 break
             where = f"where strain stands out (score {band.score:.1f})"
-            if len(found) == MOST_LINES:
-                notes.append(f"{where} there may be another line: no more than {MOST_LINES} are looked for")
+            if len(found) == MOST_LINES or n_tried == MOST_BANDS:
+                notes.append(f"{where} there may be another line: no more than {MOST_LINES} lines are looked for, in "
+                             f"no more than {MOST_BANDS} bands")
                 break
             try:
-                found, against = self._try_line(found, band)
+                found, told = self._try_line(found, band)
             except UNMEASURABLE as error:
-                against = f"could be measured: {error}"
-            if against:
-                notes.append(f"{where} no line {against}")
+                told = f"no line could be measured: {error}"
+            if told:
+                notes.append(f"{where} {told}")
             about = [band.line, *(one.line for one in found)]
             distance = np.min([measure_distance(self.mesh.centroids, line) for line in about], axis=0)
             is_seen &= distance > ABOUT * standing_out.size
@@ -190,13 +192,20 @@ class _Search:
         return found, notes
 
     def _try_line(self, found: list[_Straight], band: StrainBand) -> tuple[list[_Straight], str]:
-        """The lines that open with one more in a band, and what speaks against that one."""
+        """The lines that open with one more in a band, and what is to be told of that one."""
         bands = [*(StrainBand(one.line, one.score) for one in found), band]
         seen = self._refine(bands)
+        against = f"no line explains more than chance: {_describe_residuals(seen[-1:])}"
+        if not len(seen[-1].open_pieces):
+            return found, against
         kept = [k for k, one in enumerate(seen) if len(one.open_pieces)]
-        if kept and kept[-1] == len(found):
-            return seen if len(kept) == len(seen) else self._refine([bands[k] for k in kept]), ""
-        return found, f"explains more than chance: {_describe_residuals(seen[-1:])}"
+        n_left_out = len(seen) - len(kept)
+        if not n_left_out:
+            return seen, ""
+        seen = self._refine([bands[k] for k in kept])
+        if not all(len(one.open_pieces) for one in seen):
+            return found, against
+        return seen, f"there is a line, beside which {n_left_out} found before explain no more than chance"
 
     def _refine(self, bands: Sequence[StrainBand]) -> list[_Straight]:
         """Lines in bands where the images say that they lie, the last one first, with their pieces between the others.
@@ -370,6 +379,5 @@ def _describe_residuals(found: Sequence[_Straight]) -> str:
     n_pixels = max(sum(piece.n_pixels for piece in pieces), 1)
     without, with_lines = (float(np.sqrt(sum(squares) / n_pixels)) for squares in
                            ([piece.without_line for piece in pieces], [piece.with_line for piece in pieces]))
-    return (f"residual in the elements that it cuts {without:.3g} grey levels without it, {with_lines:.3g} with it"
-            if len(found) == 1 else f"residual in the elements that they cut {without:.3g} grey levels without the "
-            f"one that cuts them, {with_lines:.3g} with all")
+    which = "it cuts" if len(found) == 1 else "each cuts away from the others"
+    return f"residual in the elements that {which} {without:.3g} grey levels without it, {with_lines:.3g} with it"

@@ -31,13 +31,13 @@ OFF, SETTLED = 0.5, 0.25
 """Pixels: a line that is no farther off is in its place, since pixels within 2 of it do not count anyway; and one that
 is refined has been found when it moves by no more. In the gap of an open crack it wavers by 0.15."""
 
-LEAST_GAIN = 1000.0
+LEAST_FALL = 1000.0
 """Fall of the sum of squared residuals, in variances of the residual, from which on a line is moved: noise makes 20,
 and a torn edge that no straight line follows 600. A larger one leaves lines that hardly open where they are."""
 
 TIP_OFF, CERTAIN = 1.0, 5.0
 """Pixels, and standard deviations of what noise makes of its place, from which on a tip is moved along its line: a
-Poisson's ratio that is wrong by 0.15 moves it by 0.7 px, and the field about it is no better for less."""
+Poisson's ratio that is wrong by 0.15 moves it by 0.6 px, and the field about it is no better for less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,10 +141,10 @@ def _is_off(images: Images, cut: CutMesh, field: CutField, line: UncertainLine) 
     """Whether a line is off by the field that was measured."""
     try:
         move = find_move(images, cut, field.displacement, line)
-    except (ConvergenceError, ValueError):
+    except ConvergenceError:
         # No pixel about it counts, or it crosses no element by itself.
         return False
-    return move.distance > OFF and move.gain > LEAST_GAIN
+    return move.distance > OFF and move.fall > LEAST_FALL
 
 
 def _measure_move(mesh: Mesh, before: Array, after: Array) -> float:

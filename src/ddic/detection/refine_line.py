@@ -42,8 +42,8 @@ def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: 
 
     ``cut`` is a mesh that the line cuts, perhaps among others; points lie near the line, (n, 2), pixels; lines are
     (n_vertices, 2), pixels. Both are found by the shape functions of the nearest cell that this line alone cuts; nan
-    where another line lies between. Left is where the cross product with the line's direction is positive. Raises
-    ValueError where the line cuts no cell.
+    where another line lies between. Left is where the cross product with the line's direction is positive. The line is
+    one of ``cut.lines``, which keep clear of nodes. Raises ConvergenceError where it cuts no cell.
     """
     mesh = cut.mesh
     numbers = np.zeros(0, np.int64) if mesh.parts is None else mesh.parts.cells
@@ -57,7 +57,7 @@ def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: 
     # Of cells that another line cuts, both parts lie on one side of this one, or farther from it.
     is_own = (low < 0) & (high > 0)
     if not is_own.any():
-        raise ValueError("the line cuts no cell of the mesh")
+        raise ConvergenceError("the line cuts no cell of the mesh by itself")
     right, left = pairs[is_own].T
     middles = centres[order].reshape(-1, 2, 2).mean(axis=1)[is_own]
     nearest = build_tree(middles).query(points)[1]
@@ -151,7 +151,7 @@ _BINS = (np.arange(N_BINS) + 0.5) / N_BINS
 """Where they lie along a segment, from 0 to 1."""
 
 MOST_MOVES = 8
-"""Times that a line is moved; three or four are usual."""
+"""Times that a line is moved; two or three are usual."""
 
 TELLING = (0.05, 0.95)
 """Shares of what the sides differ by, along the line, between which a move counts: where they do not part, as ahead of
@@ -250,13 +250,13 @@ class Move:
         There, pixels.
     distance : float
         Largest move where the sides part, pixels.
-    gain : float
-        Fall of the sum of squared residuals, in variances of the residual: noise makes 20 of it.
+    fall : float
+        Of the sum of squared residuals, in variances of the residual: noise makes 20 of it.
     """
 
     line: Array
     distance: float
-    gain: float
+    fall: float
 
 
 def refine_line(images: Images, mesh: Mesh, start: CutField, line: UncertainLine, settled: float) -> RefinedLine:
@@ -301,7 +301,7 @@ class LineEvidence:
     n_more: float
 
     @property
-    def gain(self) -> float:
+    def fall(self) -> float:
         """By how much the mean square falls, grey levels squared."""
         return (self.without_line - self.with_line) / max(self.n_pixels, 1)
 
@@ -383,7 +383,9 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, given: Uncertai
         # Beside another line g jumps, whatever the side of this one.
         near &= measure_distance(points, other) > BAND[images.degree]
     points = points[near]
-    on_left, on_right = evaluate_both_sides(cut, displacement, line, points, given.others)
+    if not cut.lines:
+        raise ConvergenceError("the line cuts no cell of the mesh")
+    on_left, on_right = evaluate_both_sides(cut, displacement, cut.lines[given.number], points, given.others)
     known = np.isfinite(on_left + on_right).all(axis=1)
     points, along, sides = points[known], np.diff(line, axis=0), []
     for u, sign in ((on_left[known], 1), (on_right[known], -1)):
@@ -416,8 +418,8 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, given: Uncertai
         tables.append(_Segment.tabulate(costs[mine], differences[mine], shares[mine], heights[mine],
                                         (reach, k == 0, k == len(along) - 1)))
     found = _search_on_grids(tables, reach, variance / given.deviation**2)
-    gain = _sum_costs(tables, np.zeros(len(found))) - _sum_costs(tables, found)
-    return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found), gain / variance)
+    fall = _sum_costs(tables, np.zeros(len(found))) - _sum_costs(tables, found)
+    return Move(_move_vertices(line, tables, found), _measure_distance_moved(tables, found), fall / variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -441,14 +443,19 @@ class _Segment:
         last = float(shares.max()) if is_last and len(shares) else 1.0
         bins = np.clip((shares - first) / max(last - first, 1e-12), 0.0, 1.0)
         n_heights = int(np.ceil(2 * reach / STEPS[-1])) + 1
-        top = -reach + n_heights * STEPS[-1]
-        within, _, _ = np.histogram2d(bins, np.maximum(heights, -reach), bins=(N_BINS, n_heights), weights=cost,
-                                      range=((0.0, 1.0), (-reach, top)))
-        within = scipy.ndimage.convolve1d(within, _HAT, axis=1, mode="constant")
-        above = heights >= top
+        # Sums are spread across the line with those beyond either end.
+        margin = len(_HAT) // 2
+        low = -reach - margin * STEPS[-1]
+        high = low + (n_heights + 2 * margin) * STEPS[-1]
+        within, _, _ = np.histogram2d(bins, heights, bins=(N_BINS, n_heights + 2 * margin), weights=cost,
+                                      range=((0.0, 1.0), (low, high)))
+        # A histogram's last bin holds its upper edge as well.
+        above = heights > high
         beyond = np.histogram(bins[above], N_BINS, (0.0, 1.0), weights=cost[above])[0]
-        costs = np.cumsum(within[:, ::-1], axis=1)[:, ::-1] + beyond[:, None]
-        return cls(costs, np.histogram(bins, N_BINS, (0.0, 1.0), weights=difference)[0], (first, last), reach)
+        sums = np.cumsum(within[:, ::-1], axis=1)[:, ::-1] + beyond[:, None]
+        costs = scipy.ndimage.convolve1d(sums, _HAT, axis=1)[:, margin:margin + n_heights]
+        differences = np.histogram(bins, N_BINS, (0.0, 1.0), weights=difference)[0]
+        return cls(costs, differences, (first, last), reach)
 
     def sum_costs(self, ones: Array, others: Array) -> Array:
         """What the segment costs from any height at its beginning to any at its end, (n_ones, n_others)."""

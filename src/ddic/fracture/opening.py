@@ -10,7 +10,7 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
 from ddic.io.result_reader import Result
 from ddic.io.result_schema import DOUBTFUL, EXCLUDED, EXCLUDED_STATES, REGULARIZATION_BIAS, get_case
-from ddic.mesh.interpolation import interpolate, locate
+from ddic.mesh.interpolation import CellSearch, interpolate_located, place_in_cells
 from ddic.mesh.mesh import Mesh
 
 
@@ -121,7 +121,8 @@ def find_places(mesh: Mesh, vertices: Array) -> Places:
         begin += length
     distance, at, tangent = (np.concatenate(part) for part in zip(*parts, strict=True))
     places = Places(distance, at, tangent, np.column_stack([tangent[:, 1], -tangent[:, 0]]), np.zeros((2, 0), np.int64))
-    cells = np.stack([locate(mesh, side).cells for side in places.sides])
+    search = CellSearch(mesh)
+    cells = np.stack([search.locate(side).cells for side in places.sides])
     inside = (cells >= 0).all(axis=0) & ~_find_uncut_bends(mesh, vertices, at, cells)
     return Places(distance[inside], at[inside], tangent[inside], places.to_left[inside], cells[:, inside])
 
@@ -150,18 +151,21 @@ def measure_opening(result: Result, line: int = 1) -> Opening:
     places = find_places(result.mesh, get_line(result, line))
     excluded = _look_up(result, EXCLUDED, places.cells)
     is_known = ~np.isin(excluded, EXCLUDED_STATES)
+    beside = [place_in_cells(result.mesh, cells, side) for cells, side in zip(places.cells, places.sides, strict=True)]
 
     def part(values: Array) -> tuple[Array, Array]:
         """Tangential and normal components of how far values at nodes, (n_nodes, 2), part; nan where excluded."""
-        left, right = (interpolate(result.mesh, values, side) for side in places.sides)
+        left, right = (interpolate_located(result.mesh, values, side) for side in beside)
         return places.find_components(np.where(is_known[:, None], left - right, np.nan))
 
     opening = Opening(places.distance, places.points, *part(result.displacement), excluded,
                       _look_up(result, DOUBTFUL, places.cells) > 0)
     table = result.opening_deviations
     if table:
-        of_line = table["line"] == line
+        of_line = np.flatnonzero(table["line"] == line)
+        # A short line may have no place of its own.
         sigmas = [np.interp(places.distance, table["distance_px"][of_line], table[name][of_line], np.nan, np.nan)
+                  if len(of_line) else np.full(len(places.distance), np.nan)
                   for name in ("sigma_tangential_px", "sigma_normal_px")]
         tangential, normal = (np.where(is_known, sigma, np.nan) for sigma in sigmas)
         opening = replace(opening, sigma_tangential=tangential, sigma_normal=normal)

@@ -176,6 +176,19 @@ def require_sound_frames(times: NDArray[Any], numbers: NDArray[Any], records: Se
         raise ValueError(f"{schema.SERIES}.numbers: {numbers.tolist()[:3]} and so on, of which not all are told of")
 
 
+def require_sound_detection(seen: Arrays) -> None:
+    """Refuse, by a ValueError or a KeyError, maps of what was seen where lines were looked for that do not fit."""
+    n_cells, n_angles, n_distances = (len(np.atleast_1d(seen[name]))
+                                      for name in ("tresca_strain", "radon_angles", "radon_distances"))
+    wanted = {"centres": (n_cells, 2), "tresca_strain": (n_cells,), "radon_angles": (n_angles,),
+              "radon_distances": (n_distances,), "radon_scores": (n_angles, n_distances)}
+    for name, shape in wanted.items():
+        values = seen[name]
+        if values.dtype.kind != "f" or values.shape != shape or not values.size:
+            raise ValueError(f"{schema.DETECTION}/{name}: an array of {values.dtype}, shape {values.shape}; numbers of "
+                             f"shape {shape} expected")
+
+
 def require_sound_products(data: Arrays) -> None:
     """Refuse, by a ValueError, PGD-DIC's nodes, functions and amplitudes where they make no displacement."""
     for name, values in data.items():

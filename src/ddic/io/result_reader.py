@@ -440,7 +440,7 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
         attributes=attributes,
         flipped=flipped,
         corrections=tables[schema.CORRECTIONS],
-        detection=_arrays(rest, schema.DETECTION),
+        detection=_read_detection(rest),
         separated=_read_separated(rest),
         failure=str(rest.attrs.get(schema.FAILURE, "")),
         phases=tables[schema.PHASES],
@@ -458,6 +458,14 @@ def _read_verdict(file: Any) -> schema.Verdict | None:
     if schema.VERDICT not in file.attrs:
         return None
     return schema.Verdict(str(file.attrs[schema.VERDICT]), tuple(str(file.attrs[schema.REASONS]).splitlines()))
+
+
+def _read_detection(file: Any) -> Arrays:
+    """What was seen where lines were looked for; empty where none were."""
+    seen = _arrays(file, schema.DETECTION)
+    if seen:
+        damage.require_sound_detection(seen)
+    return seen
 
 
 def _read_separated(file: Any) -> SeparatedField | None:
@@ -489,7 +497,7 @@ def merge_pieces(grid: Arrays, points: Array, global_node_ids: IntArray,
     mesh. Beside the mesh come the row of each node among the points, (n_nodes,), and of each cell among the cells,
     (n_cells,).
     """
-    # Interface nodes stand in every piece that has them, all copies with the same values.
+    # Interface nodes stand in every piece that has them, all copies with the same values but for independent fields.
     first_copy = np.unique(global_node_ids, return_index=True)[1]
     node_ids = np.searchsorted(global_node_ids[first_copy], global_node_ids)
     order = np.argsort(global_cell_ids, kind="stable")

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
@@ -457,7 +458,7 @@ def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:
     return figure
 
 
-SCORES = "viridis"
+SCORES, SCORE = "viridis", "score [standard deviations of noise]"
 
 
 def draw_detection(result: Result, unit: LengthUnit = PIXELS, scale: ColourScale = OF_VALUES) -> Figure:
@@ -475,7 +476,7 @@ def draw_detection(result: Result, unit: LengthUnit = PIXELS, scale: ColourScale
     strain = seen["tresca_strain"][build_tree(seen["centres"]).query(mesh.centroids)[1]]
     colours = canvas.draw_cell_colours(of_strain, mesh, nodes, strain, scale)
     for line in lines:
-        of_strain.plot(*line.T, "w--", linewidth=1.0)
+        of_strain.plot(*line.T, color="red", linestyle="--", linewidth=1.0)
     canvas.set_bounds(of_strain, bounds)
     canvas.add_colour_bar(figure, of_strain, colours, scale.format_label(r"$|\varepsilon_1 - \varepsilon_2| / 2$"))
     _draw_scores(figure, of_scores, seen["radon_scores"], np.rad2deg(seen["radon_angles"]),
@@ -483,7 +484,7 @@ def draw_detection(result: Result, unit: LengthUnit = PIXELS, scale: ColourScale
     best = int(seen["radon_scores"].max(axis=1).argmax())
     of_best.clear()
     of_best.plot(unit.size * seen["radon_distances"], seen["radon_scores"][best], linewidth=1.4)
-    of_best.set(xlabel=f"distance from the middle [{unit.name}]", ylabel="score", aspect="auto",
+    of_best.set(xlabel=f"distance from the middle [{unit.name}]", ylabel=SCORE, aspect="auto",
                 title=f"Projection along {np.rad2deg(seen['radon_angles'][best]):.1f} degrees")
     of_best.grid(alpha=0.25)
     return figure
@@ -493,7 +494,9 @@ def _draw_scores(figure: Figure, axes: Axes, scores: Array, angles: Array, dista
     """Scores by distance and angle, (n_angles, n_distances)."""
     title = axes.get_title()
     axes.clear()
-    shown = axes.pcolormesh(distances, angles, scores, cmap=SCORES, vmin=0.0, shading="nearest", rasterized=True)
+    # Most scores are a few: a band of many would leave them dark. Those below 0 say as little as 0.
+    shown = axes.pcolormesh(distances, angles, np.maximum(scores, 0.0), cmap=SCORES, norm=PowerNorm(0.5, vmin=0.0),
+                            shading="nearest", rasterized=True)
     axes.set(xlabel=f"distance from the middle [{unit.name}]", ylabel="angle from +x to +y [degrees]", title=title,
              aspect="auto")
-    canvas.add_colour_bar(figure, axes, shown, "score [standard deviations of noise]")
+    canvas.add_colour_bar(figure, axes, shown, SCORE)

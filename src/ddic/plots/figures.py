@@ -3,7 +3,7 @@
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
@@ -95,6 +95,11 @@ class Drawing:
     preview: maps.Preview | None = None
     line: tuple[float, float, float, float] | None = None
 
+    @cached_property
+    def compared(self) -> maps.ComparedFields:
+        """The displacement beside that of the second result."""
+        return maps.compute_difference(self.result, self.other or self.result)
+
 
 def find_lacking(result: Result, other: Result | None) -> dict[str, str]:
     """Find what cannot be drawn of a result, and of a second one to compare it with: the reason by kind."""
@@ -112,6 +117,8 @@ def find_lacking(result: Result, other: Result | None) -> dict[str, str]:
     if schema.INDEPENDENT not in result.point_data:
         lacking["independent"] = ("holds no fields of subdomains by themselves; measure with output.independent_fields "
                                   "= true and solver.method = \"dual\"")
+    elif result.path == Path():
+        lacking["independent"] = "keeps one of the fields at shared nodes; open the file that the measurement wrote"
     if not result.detection:
         lacking["detection"] = 'no line was looked for (discontinuity = "detect"); choose another --kind'
     if schema.CAMERA not in result.cell_data:
@@ -170,7 +177,7 @@ def _draw_kind(kind: str, drawing: Drawing, shared: SharedScale | None) -> Figur
         "bias": lambda: draw_panels(maps.list_bias_panels(result, component, unit)),
         "residual": lambda: maps.draw_residual(result, unit=unit, scale=scale),
         "signed-residual": lambda: maps.draw_residual(result, signed=True, unit=unit, scale=scale),
-        "difference": lambda: maps.draw_difference(result, drawing.other or result, component, unit, scale),
+        "difference": lambda: maps.draw_difference(drawing.compared, component, unit, scale),
         "krylov": lambda: _draw_krylov(result, drawing.other),
         "opening": lambda: _draw_opening(result, unit),
         "near-far": lambda: maps.draw_near_far(result, component, unit, scale),

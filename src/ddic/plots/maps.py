@@ -31,14 +31,36 @@ from ddic.plots import canvas
 from ddic.plots.canvas import OF_VALUES, PIXELS, Bounds, ColourScale, Component, LengthUnit, Limits
 
 
-def draw_difference(result: Result, other: Result, component: Component = "magnitude", unit: LengthUnit = PIXELS,
+@dataclass(frozen=True, eq=False)
+class ComparedFields:
+    """A result's displacement beside another's.
+
+    Attributes
+    ----------
+    result, other : Result
+        Both.
+    difference : (n_nodes, 2) array
+        Its own minus the other's at its nodes, pixels; nan where either is unmeasured.
+    rms : float
+        Root mean square of the difference's length, pixels.
+    err : float
+        Err = |difference| / |other| over all nodes where both were measured, Eq. 41 of [BP17].
+    """
+
+    result: Result
+    other: Result
+    difference: Array
+    rms: float
+    err: float
+
+
+def draw_difference(compared: ComparedFields, component: Component = "magnitude", unit: LengthUnit = PIXELS,
                     scale: ColourScale = OF_VALUES) -> Figure:
-    """Draw a result's displacement minus another's, interpolated to its nodes; nothing where either is unmeasured."""
-    mesh, nodes = result.mesh, unit.size * result.mesh.nodes
-    compared = compute_difference(result, other)
+    """Draw a result's displacement minus another's, at its nodes; nothing where either is unmeasured."""
+    mesh, nodes = compared.result.mesh, unit.size * compared.result.mesh.nodes
     difference = unit.size * compared.difference
-    title = (f"{result.path.name} minus {other.path.name}, RMS {unit.size * compared.rms:.2e} {unit.name}, Err "
-             f"{compared.err:.2e}")
+    title = (f"{compared.result.path.name} minus {compared.other.path.name}, RMS {unit.size * compared.rms:.2e} "
+             f"{unit.name}, Err {compared.err:.2e}")
     figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
     values = canvas.pick_component(difference, component)
     colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, scale)
@@ -47,34 +69,16 @@ def draw_difference(result: Result, other: Result, component: Component = "magni
     return figure
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedFields:
-    """A result's displacement beside another's.
-
-    Attributes
-    ----------
-    difference : (n_nodes, 2) array
-        Its own minus the other's at its nodes, pixels; nan where either is unmeasured.
-    rms : float
-        Root mean square of the difference's length, pixels.
-    err : float
-        Err = |difference| / |other| over all nodes, Eq. 41 of [BP17].
-    """
-
-    difference: Array
-    rms: float
-    err: float
-
-
 def compute_difference(result: Result, other: Result) -> ComparedFields:
-    """Compare a result's displacement at its nodes with that of another one, interpolated to them."""
+    """Compare a result's displacement with another one's, interpolated to its nodes: Err is Eq. 41 of [BP17]."""
     theirs = _interpolate(other, result.mesh.nodes)
     difference = result.displacement - theirs
     is_known = np.isfinite(difference).all(axis=1)
     if not is_known.any():
-        return ComparedFields(difference, np.nan, np.nan)
+        return ComparedFields(result, other, difference, np.nan, np.nan)
     norm, of_other = float(np.linalg.norm(difference[is_known])), float(np.linalg.norm(theirs[is_known]))
-    return ComparedFields(difference, norm / np.sqrt(is_known.sum()), norm / of_other if of_other else np.inf)
+    return ComparedFields(result, other, difference, norm / np.sqrt(is_known.sum()),
+                          norm / of_other if of_other else np.inf)
 
 
 def _interpolate(result: Result, points: Array) -> Array:

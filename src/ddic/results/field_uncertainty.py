@@ -86,7 +86,7 @@ class FieldUncertainty:
         Estimated displacement less the true one, as far as regularization makes the difference, pixels; None without.
     force_noise : ForceNoise or None
         How strongly the residual acts on displacements, where it tells the noise; None where the noise is given.
-    openings : dict of (n,) arrays
+    opening_deviations : dict of (n,) arrays
         Standard deviations of openings along all discontinuities, columns by name; empty without any.
     """
 
@@ -97,7 +97,7 @@ class FieldUncertainty:
     deviations: list[FieldDeviations]
     bias: list[Array] | None
     force_noise: ForceNoise | None = None
-    openings: Mapping[str, Array] = field(default_factory=dict)
+    opening_deviations: Mapping[str, Array] = field(default_factory=dict)
 
 
 def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
@@ -187,9 +187,10 @@ class SubdomainOpenings:
 
 def find_openings(subdomain: Subdomain, lines: Sequence[Array]) -> SubdomainOpenings:
     """Find the openings of lines in a subdomain, as they are read from the mesh of the result."""
-    places, matrices = [], []
+    if not lines:
+        return SubdomainOpenings([], [])
+    drawn, places, matrices = draw_mesh(subdomain, subdomain.mesh.n_nodes), [], []
     for line in lines:
-        drawn = draw_mesh(subdomain, subdomain.mesh.n_nodes)
         of_line = find_places(drawn.mesh, line)
         left, right = (weigh_nodes_at(drawn.mesh, cells, side)
                        for cells, side in zip(of_line.cells, of_line.sides, strict=True))

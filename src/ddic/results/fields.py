@@ -300,8 +300,8 @@ def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
         from ddic.results.field_uncertainty import list_uncertainty
 
         writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
-        if measurement.uncertainty.openings:
-            writer.write_table(schema.OPENING_DEVIATIONS, measurement.uncertainty.openings)
+        if measurement.uncertainty.opening_deviations:
+            writer.write_table(schema.OPENING_DEVIATIONS, measurement.uncertainty.opening_deviations)
     if measurement.detection is not None:
         writer.write_arrays(schema.DETECTION, measurement.detection.to_arrays())
     for motion in measurement.motions:

@@ -193,6 +193,10 @@ _ROW_SHIFTS = {MOST_SAMPLES: 7, FEWEST_SAMPLES: 6}
 16 at least 3.6."""
 
 
+_QUARTERS = np.array([0, 2, 1, 3])
+"""Quarters of the tiles by which cells in one place are told apart: parts of cut cells have the whole one's place."""
+
+
 @dataclass(frozen=True, eq=False)
 class SampledCells:
     """What makes forces with a given covariance on the cells of a view.
@@ -241,7 +245,7 @@ def prepare_samples(covariances: Array, cell_ids: IntArray, places: IntArray,
     n_tiles = n_samples // LARGEST_FORCES
     tiles = places[:, 0] + _ROW_SHIFTS[n_samples] * places[:, 1] + camera
     # Those next to each other in an irregular mesh go where no near one is.
-    tiles = (tiles + n_tiles // 2 * _number_within_places(places)) % n_tiles
+    tiles = (tiles + n_tiles // 4 * _QUARTERS[_number_within_places(places) % len(_QUARTERS)]) % n_tiles
     columns = np.arange(n)
     rows = tiles[:, None] * LARGEST_FORCES + columns
     numbers = cell_ids[:, None] * LARGEST_FORCES + columns
