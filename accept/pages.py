@@ -35,7 +35,7 @@ def measure_equations(scale: Scale) -> list[Row]:
 
 
 def measure_docs(scale: Scale) -> list[Row]:
-    """Check public docstrings, and but in smoke runs, beside which CI does both, build the site and run the examples."""
+    """Check public docstrings; build the site and run the examples, but in smoke runs: CI does both by itself."""
     return [_docstrings()] if scale.smoke else [_docstrings(), build_site(), _examples()]
 
 
