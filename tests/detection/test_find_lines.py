@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from itertools import permutations
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ import pytest
 import ddic
 from bench.support.opened_pair import Opened, render
 from ddic.arrays import Array
-from ddic.detection.find_lines import BEYOND, OpenLine, join_lines
+from ddic.detection.find_lines import BEYOND, OpenLine, _Search, join_lines
+from ddic.detection.refine_line import LineEvidence
+from ddic.detection.strain_band import StrainBand
 
 EDGE = -1
 CORNER, OTHER_CORNER = np.array([5.0, 0.0]), np.array([5.0, 8.0])
@@ -53,6 +57,23 @@ def test_lines_around_a_triangle_stay_three() -> None:
     a, b, c = np.array([[0.0, 0.0], [9.0, 0.0], [4.0, 7.0]])
     joined = join_lines([line(a, b, ((0, 2), (0, 1))), line(b, c, ((1, 0), (1, 2))), line(c, a, ((2, 1), (2, 0)))])
     assert sum(len(one.vertices) - 1 for one in joined) == 3
+
+
+@pytest.mark.parametrize(("again", "n_kept", "told"), [([1, 1], 2, "leaves 1 found before"),
+                                                       ([1, 0], 2, "no line explains more than chance")])
+def test_a_line_that_leaves_one_before_it_nothing_takes_its_place(monkeypatch: pytest.MonkeyPatch, again: list[int],
+                                                                  n_kept: int, told: str) -> None:
+    """Measured again without that one, all that stay must explain more than chance: else nothing changes."""
+    def straight(n_open: int) -> Any:
+        at_rest = LineEvidence(1.0, 1.0, 100, 1.0)
+        return SimpleNamespace(line=np.zeros((2, 2)), score=9.0, evidence=[at_rest], open_pieces=np.arange(n_open))
+
+    rounds = iter([[1, 0, 1], again])
+    monkeypatch.setattr(_Search, "_refine", lambda search, bands: [straight(n) for n in next(rounds)])
+    search = _Search(None, None, np.zeros((0, 2)), "both")  # type: ignore[arg-type]
+    found, note = search._try_line([straight(1), straight(1)], StrainBand(np.zeros((2, 2)), 9.0))
+    assert len(found) == n_kept
+    assert told in note
 
 
 SIDE, MIDDLE = 400, np.array([200.0, 200.0])

@@ -205,7 +205,7 @@ class _Search:
         seen = self._refine([bands[k] for k in kept])
         if not all(len(one.open_pieces) for one in seen):
             return found, against
-        return seen, f"there is a line, beside which {n_left_out} found before explain no more than chance"
+        return seen, f"a line leaves {n_left_out} found before no more than chance to explain: left out"
 
     def _refine(self, bands: Sequence[StrainBand]) -> list[_Straight]:
         """Lines in bands where the images say that they lie, the last one first, with their pieces between the others.
