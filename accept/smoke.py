@@ -28,7 +28,7 @@ N_JOBS = "2"
 """Processes at a time of checks that count and do not time."""
 
 LEAST_JUDGED = 0.6
-"""Share of the rows whose bound is judged; fewer would let the tables rot."""
+"""Share of the rows with a bound that are judged by it; fewer would let the tables rot."""
 
 LONGEST = 10
 """Minutes that all tables may take."""

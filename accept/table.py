@@ -119,7 +119,8 @@ def _measure(name: str, check: Check, scale: Scale) -> _Measured:
 def _show_small(name: str, found: _Measured) -> bool:
     """Print what tiny cases gave; whether the check ran and all rows hold that are judged there."""
     for row in found.rows:
-        verdict = "ran" if not row.judged_small else "holds" if row.holds else "FAILS" if found.ran else "FAILED"
+        judged = "holds" if row.holds else "FAILS" if found.ran else "FAILED"
+        verdict = "told" if row.is_reported else judged if row.judged_small else "ran"
         bound = f" (bound: {row.bound})" if verdict == "FAILS" else ""
         print(f"{verdict:6s} {name}: {row.check}: {row.measured}{bound}", flush=True)
     return all(row.holds for row in found.rows if row.judged_small)

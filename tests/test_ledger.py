@@ -125,6 +125,7 @@ def test_rows_of_other_code_than_the_last_commit_s_are_counted(monkeypatch: pyte
 
 @pytest.mark.parametrize(("printed", "failed", "code", "told"), [
     ("holds  a: row\nholds  a: row\nran    b: row\n", 0, 0, "2 of 3 rows judged (67%; at least 60%), 2 hold"),
+    ("holds  a: row\nholds  a: row\nran    b: row\ntold   b: row\n", 0, 0, "2 of 3 rows judged"),
     ("holds  a: row\nran    b: row\n", 0, 1, "1 of 2 rows judged (50%; at least 60%), 1 hold"),
     ("holds  a: row\nFAILS  b: row\n", 1, 1, "does not hold: start"),
     ("FAILED a: row\n", 1, 1, "1 of 1 rows judged (100%; at least 60%), 0 hold")])

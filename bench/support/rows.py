@@ -40,6 +40,11 @@ class Row:
     holds: bool
     judged_small: bool = True
 
+    @property
+    def is_reported(self) -> bool:
+        """Whether it stands beside another number without being judged against it."""
+        return self.bound.startswith("reported")
+
 
 def append_result(name: str, record: dict[str, Any]) -> None:
     """Append a JSON line to ``bench/results/NAME.jsonl``.
