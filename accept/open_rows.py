@@ -50,8 +50,8 @@ OPEN: dict[tuple[str, str], str] = {
     ("right", "disturbed"):
         "beside a crack of 20 px, without l_c or with 128 px, a node of a cell that is not marked is 0.305 px off",
     ("solver", "iterations"):
-        "256 subdomains of 20 x 20 elements need 20 iterations, 64 need 16, with l_c = 32 H, where rounding leaves 2e-7 "
-        "of the field; commit a1f2dfa needs as many here, and needed 3 more at most on another processor",
+        "256 subdomains of 20 x 20 elements need 20 iterations, 64 need 16, with l_c = 32 H, where rounding leaves "
+        "2e-7 of the field; commit a1f2dfa needs as many here, and needed 3 more at most on another processor",
     ("start", "random"):
         "three of 300, of the strongest noise (3.4 to 3.8 grey levels) on the coarsest speckle (7.4 to 7.8 px): "
         "one edge node, whose standard deviation is told as 0.10 to 0.17 px; from the truth the field is the same",
