@@ -39,7 +39,7 @@ def are_equal(one: list[NDArray[np.float64]], other: list[NDArray[np.float64]]) 
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("more", ["", REGULARIZED], ids=["plain", "regularized"])
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_frame_comes_to_the_same_bits_after_another(shared_path: Path, solver: str, more: str) -> None:

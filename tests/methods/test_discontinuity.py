@@ -82,7 +82,7 @@ def test_continuous_elements_smear_the_slip() -> None:
     assert np.sqrt(((result.at(points) - slide(points)) ** 2).mean()) > 0.03
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(("opening", "settings"), [("both", {}), ("tangential", REGULARIZED)],
                          ids=["plain", "regularized"])
 def test_all_solvers_find_the_field_of_the_assembled_operator(opening: str, settings: dict[str, Any]) -> None:
@@ -161,7 +161,7 @@ def test_tip_functions_hold_what_elements_about_a_tip_do_not() -> None:
     assert errors[True] < 0.5 * errors[False]
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("settings", [{}, REGULARIZED], ids=["plain", "regularized"])
 def test_all_solvers_find_the_field_about_a_tip(settings: dict[str, Any]) -> None:
     line = {"vertices": [(CRACK_TIP - 300 * TANGENT).tolist(), CRACK_TIP.tolist()], "tip_functions": True}
@@ -182,7 +182,7 @@ def far_apart() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         (points - START) @ NORMAL > 0, 12.0, 0.0)[:, None] * TANGENT, (400, 400), seed=3)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_start_finds_sides_that_are_far_apart() -> None:
     line = [START.tolist(), (START + 500 * TANGENT).tolist()]
     mesh = ddic.structured_mesh((20, 20, 380, 380), 16)

@@ -54,7 +54,7 @@ def test_motions_are_found_by_default(degrees: float, stretch: float) -> None:
     assert len(result.gauss_newton["rms_correction_px"]) <= 5
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("settings", [{}, FREE_EDGES, FREE_EDGES | {"solver": {"weighting": "paper"}}],
                          ids=["plain", "regularized", "weighted as in the paper"])
 def test_all_solvers_find_one_field(settings: dict[str, Any]) -> None:
@@ -79,7 +79,7 @@ def test_a_rotation_strains_no_free_edge(degrees: float) -> None:
     assert np.abs(strain).max() < 2e-4
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_session_renews_its_operators_as_the_specimen_turns() -> None:
     with ddic.prepare(_pictures(0.0)[0], MESH, solver={"method": "dual", "subdomains": 4}) as session:
         for degrees in (0.5, 60.0, 62.0, 0.5):

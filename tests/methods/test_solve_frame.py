@@ -84,7 +84,7 @@ def largest_difference(one: ddic.Result, other: ddic.Result) -> float:
     return float(np.nanmax(np.abs(one.displacement - other.displacement)))
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 @pytest.mark.parametrize("name", COMPARED)
 def test_any_number_of_ranks_finds_the_same(name: str, regularized: bool) -> None:
@@ -95,7 +95,7 @@ def test_any_number_of_ranks_finds_the_same(name: str, regularized: bool) -> Non
     assert len(found.gauss_newton["iteration"]) == len(alone.gauss_newton["iteration"])
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 @pytest.mark.parametrize("name", ["across", "whole", "many", "dirt", "blank"])
 def test_any_linear_step_finds_the_same(name: str, regularized: bool) -> None:
@@ -253,7 +253,7 @@ def test_auto_takes_the_correction_that_the_pair_needs(change_of_grey: Any, expe
         assert np.nanmax(np.abs(different.displacement - automatic.displacement)) > 1e-5
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 def test_frames_of_a_session_equal_separate_measurements(regularized: bool) -> None:
     names = ["across", "clean", "whole", "dirt", "clean", "blur", "beside"]
@@ -263,7 +263,7 @@ def test_frames_of_a_session_equal_separate_measurements(regularized: bool) -> N
         assert largest_difference(result, measure_scene(name, "dual", regularized)) <= 1e-6
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_a_frame_starts_from_one_of_which_a_part_was_not_measured() -> None:
     options = settings()
     with ddic.prepare(clean().reference, MESH, **options) as session:
@@ -273,7 +273,7 @@ def test_a_frame_starts_from_one_of_which_a_part_was_not_measured() -> None:
     assert largest_difference(found, ddic.measure(clean().pair, MESH, **options)) <= 1e-6
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize("name", ["whole", "blank"])
 def test_a_measurement_goes_on_from_a_result_of_which_a_part_was_not_measured(name: str) -> None:
     scene, options = SCENES[name](), settings()
@@ -368,7 +368,7 @@ def test_both_images_are_taken_as_they_are_where_that_is_asked_for(tmp_path: Pat
     assert measure_files(tmp_path, blur(2.0))[0].model.blurs
 
 
-@pytest.mark.parallel([2])
+@pytest.mark.parallel([3])
 @pytest.mark.parametrize("regularized", [False, True], ids=["plain", "regularized"])
 def test_the_start_of_a_hidden_frame_moves_nodes_by_less_than_noise(regularized: bool) -> None:
     options = settings(regularized=regularized)

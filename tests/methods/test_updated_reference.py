@@ -25,7 +25,7 @@ from ddic.synth.speckle import SpeckleTexture
 from support.cases import Ears, write_case, write_images
 from support.interrupted import assert_equal_results, interrupt
 
-RANKS = [1, 2]
+RANKS = [1, 3]
 N_FRAMES = 4
 SERIES = ", ".join(f'"g_{number}.tif"' for number in range(1, N_FRAMES + 1))
 SOLVER = '[solver]\nmethod = "dual"\nsubdomains = 4\n'
@@ -95,7 +95,7 @@ def test_fields_are_those_since_the_first_image(shared_path: Path, more: str, of
         assert np.abs(find_errors(series, step)).max() < of_frame * (step + 1)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel([1, 3])
 def test_speckle_that_changes_asks_for_it(shared_path: Path) -> None:
     with pytest.raises(ConvergenceError, match="frame 4: not measured"):
         run(write_frames(shared_path / "never", NEVER, SMOOTH, fades=True))
