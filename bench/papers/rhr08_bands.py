@@ -22,9 +22,8 @@ from bench.support.line_panels import (
     draw_openings,
     draw_residuals,
     measure_residual,
-    scatter_points,
 )
-from bench.support.opened_pair import mesh_inside
+from bench.support.opened_pair import mesh_inside, scatter_points
 from ddic.fracture.opening import get_lines
 from ddic.plots.canvas import save_figure
 from ddic.plots.curves import draw_detection

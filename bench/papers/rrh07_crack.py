@@ -19,9 +19,8 @@ from bench.support.line_panels import (
     describe_noise,
     draw_residuals,
     measure_residual,
-    scatter_points,
 )
-from bench.support.opened_pair import Crack, mesh_inside, render_crack
+from bench.support.opened_pair import Crack, mesh_inside, render_crack, scatter_points
 from ddic.plots.canvas import COLOURS, save_figure
 
 NAME = "rrh07_crack"

@@ -24,14 +24,6 @@ BLOCK = 4
 BRIGHTEST = 99.5
 """Percentile of a map at which its colours end."""
 
-N_POINTS = 20000
-"""Places at which a displacement is compared with the known one."""
-
-
-def scatter_points(mesh: ddic.Mesh) -> Array:
-    """Scatter points all over a rectangular mesh, (n, 2), pixels."""
-    return np.random.default_rng(0).uniform(mesh.nodes.min(axis=0), mesh.nodes.max(axis=0), (N_POINTS, 2))
-
 
 def find_dynamic_range(image: NDArray[Any]) -> float:
     """Find the largest grey level of an image less its least one."""

@@ -200,6 +200,11 @@ def picture(texture: SpeckleTexture, origins: Array, bits: int, noise: Array) ->
     return np.asarray(digits, dtype=np.uint16 if bits > 8 else np.uint8)
 
 
+def scatter_points(mesh: ddic.Mesh) -> NDArray[np.float64]:
+    """Scatter points all over a rectangular mesh, (n, 2), pixels."""
+    return np.random.default_rng(0).uniform(mesh.nodes.min(axis=0), mesh.nodes.max(axis=0), (20000, 2))
+
+
 def find_field_error(result: ddic.Result, opened: Opened, *, spread: bool = False) -> float:
     """Compare the displacement with the known one at points all over the mesh.
 
@@ -217,8 +222,7 @@ def find_field_error(result: ddic.Result, opened: Opened, *, spread: bool = Fals
     float
         RMS difference per component, or its standard deviation, pixels.
     """
-    low, high = result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)
-    points = np.random.default_rng(0).uniform(low, high, (20000, 2))
+    points = scatter_points(result.mesh)
     error = result.at(points) - opened.displacement(points)
     error = error[np.isfinite(error).all(axis=1)]
     return float(error.std(axis=0).mean()) if spread else float(np.sqrt((error**2).mean()))

@@ -37,7 +37,7 @@ def test_linear_sides_go_on_beyond_the_line(angle: float, seed: int) -> None:
     is_left = (find_points_on_own_side(cut.mesh) - cuts_at) @ normal > 0
     u = np.where(is_left[:, None], of_side[0](cut.mesh.nodes), of_side[1](cut.mesh.nodes))
     points = MIDDLE + random.uniform(-60, 60, (200, 1)) * along + random.uniform(-8, 8, (200, 1)) * normal
-    left, right = evaluate_both_sides(cut, u, line, points)
+    left, right = evaluate_both_sides(cut, u, 0, points)
     # Shape functions reproduce linear fields inside a cell and out.
     np.testing.assert_allclose(left, of_side[0](points), atol=1e-9)
     np.testing.assert_allclose(right, of_side[1](points), atol=1e-9)

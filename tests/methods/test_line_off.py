@@ -74,8 +74,9 @@ def test_a_line_in_its_place_stays_and_is_measured_with_once() -> None:
     assert "discontinuity" not in str(result.attributes["case"]["notes"])
 
 
-def test_without_uncertainty_the_line_is_taken_as_it_is() -> None:
-    asked = options(2.0, uncertainty=0.0)
+@pytest.mark.parametrize("uncertainty", [0.0, 1e-300])
+def test_without_uncertainty_the_line_is_taken_as_it_is(uncertainty: float) -> None:
+    asked = options(2.0, uncertainty=uncertainty)
     result = ddic.measure(pair(4.0), MESH, **asked)
     np.testing.assert_array_equal(line_of(result), asked["discontinuity"][0]["vertices"])  # type: ignore[index]
 

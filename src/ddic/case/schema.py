@@ -386,11 +386,16 @@ class DiscontinuitySection(Section):
     the tip of a crack: give the line up to its tip then. Without, nothing but the two elements nearest to the tip is
     less exact."""
 
-    uncertainty: Pixels = 3.0
-    """How far from its place the line that is given may be. Pixels as near to it are not taken for something else than
-    the specimen, and where the residual says that the line is off by more than half a pixel, or its tip with
-    tip_functions by more than one along it, they are refined and the image measured again; the log and the result say
-    by how much. 0 takes the line as given."""
+    uncertainty: Annotated[Pixels, Field(le=100)] = 3.0
+    """How far from its place the line that is given may be; leave the vertices of one that is farther out. Pixels as
+    near to it are not taken for something else than the specimen, and where the residual says that the line is off by
+    more than half a pixel, or its tip with tip_functions by more than one along it, they are refined and the image
+    measured again; the log and the result say by how much. 0, or less than 0.01, takes the line as given."""
+
+    @property
+    def may_be_off(self) -> bool:
+        """Whether its place is looked at: nothing is known better than to a hundredth of a pixel."""
+        return self.vertices is not None and self.uncertainty >= 0.01
 
     def _list_contradictions(self) -> Iterator[str]:
         if self.vertices is not None and any(one == other for one, other in pairwise(self.vertices)):

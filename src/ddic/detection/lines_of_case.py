@@ -75,14 +75,14 @@ def refine_lines_of_case(inputs: Inputs, frame: Frame, displacement: Array) -> R
     notes: list[str] = []
     for number, section in enumerate(sections):
         line = UncertainLine(given, number, section.uncertainty)
-        if section.uncertainty > 0 and _is_off(images, cut, field, line):
+        if section.may_be_off and _is_off(images, cut, field, line):
             among, note = _refine(images, mesh, field, replace(line, among=among))
             notes.append(f"discontinuity, entry {number + 1}: {note}")
     tips = find_tips(mesh, among.lines, list_tip_functions(inputs.case))
     for tip in () if tips is None else tips.tips:
-        deviation = sections[tip.line].uncertainty
-        if deviation > 0:
-            line = UncertainLine(among, tip.line, deviation)
+        section = sections[tip.line]
+        if section.may_be_off:
+            line = UncertainLine(among, tip.line, section.uncertainty)
             among, of_tip = _refine_tip(inputs.case, images, mesh, field, tip, line)
             notes += [f"discontinuity, entry {tip.line + 1}: {note}" for note in of_tip]
     sections = [section if among.lines[number] is given.lines[number]

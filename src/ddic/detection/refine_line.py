@@ -36,17 +36,20 @@ HALO = 30
 """Pixels about a window after which a cubic spline's coefficients are those of the whole image."""
 
 
-def evaluate_both_sides(cut: CutMesh, displacement: Array, line: Array, points: Array,
+def evaluate_both_sides(cut: CutMesh, displacement: Array, number: int, points: Array,
                         others: Sequence[Array] = ()) -> tuple[Array, Array]:
     """Evaluate the displacement of the sides of a line, (n, 2) of left and right, pixels, each also beyond the line.
 
-    ``cut`` is a mesh that the line cuts, perhaps among others; points lie near the line, (n, 2), pixels; lines are
-    (n_vertices, 2), pixels. Both are found by the shape functions of the nearest cell that this line alone cuts; nan
-    where another line lies between. Left is where the cross product with the line's direction is positive. The line is
-    one of ``cut.lines``, which keep clear of nodes. Raises ConvergenceError where it cuts no cell.
+    ``number`` is the line's among those that cut the mesh; points lie near it, (n, 2), pixels, as the other lines,
+    (n_vertices, 2) each. Both sides are found by the shape functions of the nearest cell that this line alone cuts; nan
+    where another line lies between. Left is where the cross product with the line's direction is positive. Raises
+    ConvergenceError where it cuts no cell.
     """
     mesh = cut.mesh
-    numbers = np.zeros(0, np.int64) if mesh.parts is None else mesh.parts.cells
+    if mesh.parts is None:
+        raise ConvergenceError("the line cuts no cell of the mesh")
+    # As it cuts: clear of nodes.
+    line, numbers = cut.lines[number], mesh.parts.cells
     n_parts = np.bincount(cut.cell_of[numbers], minlength=int(cut.cell_of.max()) + 1)
     numbers = numbers[n_parts[cut.cell_of[numbers]] == 2]
     centres = mesh.centroids[numbers]
@@ -383,9 +386,7 @@ def find_move(images: Images, cut: CutMesh, displacement: Array, given: Uncertai
         # Beside another line g jumps, whatever the side of this one.
         near &= measure_distance(points, other) > BAND[images.degree]
     points = points[near]
-    if not cut.lines:
-        raise ConvergenceError("the line cuts no cell of the mesh")
-    on_left, on_right = evaluate_both_sides(cut, displacement, cut.lines[given.number], points, given.others)
+    on_left, on_right = evaluate_both_sides(cut, displacement, given.number, points, given.others)
     known = np.isfinite(on_left + on_right).all(axis=1)
     points, along, sides = points[known], np.diff(line, axis=0), []
     for u, sign in ((on_left[known], 1), (on_right[known], -1)):

@@ -43,7 +43,7 @@ def is_line_wanted(case: Case) -> bool:
 
 
 def _may_be_off(case: Case) -> bool:
-    return any(section.vertices is not None and section.uncertainty > 0 for section in case.discontinuity)
+    return any(section.may_be_off for section in case.discontinuity)
 
 
 class _FiniteElements:
