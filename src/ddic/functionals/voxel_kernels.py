@@ -1,0 +1,762 @@
+"""Compiled loops over the voxels of cells, fused with the assembly of cell sums.
+
+``tests/support/readable_voxels.py`` says the same in plain loops, voxel by voxel: read it first, it is the oracle of
+this file.
+
+Voxels of a cell are visited row by row, along x, eight at a time. In a tetrahedron, and in a hexahedron whose sides lie
+along the axes, the displacement is linear along a row; in other hexahedra local coordinates are found by Newton's
+method, of eight voxels at once. Voxels whose displacements have one integer part read spline coefficients
+contiguously; where it changes, the next voxels begin anew. Displacements are split into an integer part and a fraction,
+so that no digit is lost to the position in the volume. Grey levels and splines are float32, all sums float64.
+
+The gradient of f is taken from its grey levels when it is needed, by differences of eighth order, which spares three
+numbers a voxel: 0.2 % too small for waves of 6 voxels.
+
+The stages share this file because numba's cache of a kernel does not notice changes in other files.
+"""
+# mypy: disable-error-code="no-untyped-def, assignment"
+
+import math
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ddic.arrays import Array, IntArray
+from ddic.vectors import (
+    WIDTH,
+    count,
+    count_equal,
+    first_of,
+    least,
+    load,
+    mark_first,
+    most,
+    round_down,
+    splat,
+    splat_double,
+    store,
+    total,
+    widen,
+)
+
+FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
+"""Of all kernels; a position that is not a number stays one."""
+
+INLINED = {**FLAGS, "_nrt": False, "forceinline": True}
+"""Of what is called for every row: arrays live as long as the kernel, hence nobody need count who holds them."""
+
+REACH = 4
+"""Voxels on either side of one that its gradient is taken from."""
+
+DIFFERENCES = tuple(np.float32(number) for number in (4 / 5, -1 / 5, 4 / 105, -1 / 280))
+"""Weights of f(x + k) - f(x - k), k = 1 to REACH: the derivative of a polynomial of degree 8 exactly."""
+
+N_SUMS = 6
+"""Sums over usable voxels of (1, r, g, r^2, g^2, r g) with r = f - g(x + u)."""
+
+AFFINE = 1e-11
+"""A cell whose mixed terms are below this, relative to its linear ones, is affine but for rounding."""
+
+NEWTON_STEPS, CLOSE = 8, 1e-4
+"""Most steps towards local coordinates, and the step after which the next one would be below float32's rounding."""
+
+
+class Cells(NamedTuple):
+    """Cells of a mesh and the voxels of each.
+
+    Attributes
+    ----------
+    order : (n_visited,) int64 array
+        Cells in the order of visiting.
+    geometry : (n_cells, 3, 8) float64 array
+        Coefficients of (x, y, z) on the monomials, voxels.
+    lower, upper : (n_cells, 3) int64 arrays
+        Half-open box of voxels of each cell.
+    row_ptr : (n_cells + 1,) int64 array
+        Cell e owns the runs row_ptr[e] : row_ptr[e + 1], one for each row of its box, those of a plane after each
+        other. A cell without runs is its whole box.
+    starts, stops : (n_runs,) int16 arrays
+        Half-open columns of each run, counted from the box's first; they may be empty.
+    """
+
+    order: IntArray
+    geometry: Array
+    lower: IntArray
+    upper: IntArray
+    row_ptr: IntArray
+    starts: NDArray[np.int16]
+    stops: NDArray[np.int16]
+
+
+class Shapes(NamedTuple):
+    """Shape functions of cells.
+
+    Attributes
+    ----------
+    coefficients : (n_kinds, 8, 8) float64 array
+        N_a on the monomials, for each kind of cell; rows of nodes that it does not have are zero.
+    kinds : (n_cells,) int64 array
+        Each cell's place in ``coefficients``.
+    """
+
+    coefficients: Array
+    kinds: IntArray
+
+
+class ReferenceVoxels(NamedTuple):
+    """A box of the reference volume f, ``REACH`` voxels more on every side, and a vector's more at its end.
+
+    Attributes
+    ----------
+    values : (n,) uint8, uint16 or float32 array
+        Rows, one after the other, plane by plane.
+    row_length, plane_length : int
+        Numbers from one row to the next, and from one plane.
+    origin : int
+        Where voxel (0, 0, 0) is, or would be.
+    usable : (n,) uint8 array
+        0 where a voxel is excluded; (0,) where none is, so that there is one compiled kernel for both.
+    """
+
+    values: NDArray[Any]
+    row_length: int
+    plane_length: int
+    origin: int
+    usable: NDArray[np.uint8]
+
+
+class DeformedVoxels(NamedTuple):
+    """A box of the deformed volume g as coefficients of a cubic spline, padded as the spline needs.
+
+    Attributes
+    ----------
+    coefficients : (n,) int16 or float32 array
+        Rows, one after the other, plane by plane, and a vector's more at its end.
+    row_length, plane_length : int
+        Numbers from one row to the next, and from one plane.
+    origin : int
+        Where the coefficient of voxel (0, 0, 0) is, or would be.
+    scale, offset : float
+        Grey levels are scale times the spline of the coefficients, plus offset.
+    usable : (n,) uint8 array
+        0 where g between the voxel and its next one along each axis is interpolated from an excluded one; (0,) where
+        nothing is excluded.
+    sizes : tuple of int
+        Numbers of voxels of the whole volume along x, y and z.
+    """
+
+    coefficients: NDArray[Any]
+    row_length: int
+    plane_length: int
+    origin: int
+    scale: float
+    offset: float
+    usable: NDArray[np.uint8]
+    sizes: tuple[int, int, int]
+
+
+class CellSums(NamedTuple):
+    """What ``residual_sums`` adds to.
+
+    Attributes
+    ----------
+    moments : (n_cells, 1 or 3, 3, 8) float64 array
+        Sums of (r, g, 1) x grad f x monomials, r = f - g(x + u).
+    grey : (n_cells, 6) float64 array
+        Sums of (1, r, g, r^2, g^2, r g).
+    """
+
+    moments: Array
+    grey: Array
+
+
+class _Row(NamedTuple):
+    """Voxels of a cell in a row: columns x to before stop."""
+
+    x: Any
+    stop: Any
+    y: Any
+    z: Any
+
+
+class _Scratch(NamedTuple):
+    """Of one cell.
+
+    Attributes
+    ----------
+    inverse : (3, 3) array
+        d(xi, eta, zeta) / d(x, y, z) of an affine cell, or of another at its centre.
+    phi, slope : (8,) array
+        Monomials at the first voxel of a row, and what they grow by from one voxel to the next.
+    lanes : (8 x WIDTH,) float32 array
+        Monomials of neighbouring voxels.
+    sums, grey : (n x WIDTH,) array
+        Moments and grey sums by lanes; zeros between cells.
+    pairs : (216 x WIDTH,) array
+        Sums of grad f grad f^T times products of two monomials, by lanes.
+    products, half : (6, 8, 8) and (8, 8) array
+        The same added up, and half of the way from monomials to shape functions.
+    """
+
+    inverse: Array
+    phi: Array
+    slope: Array
+    lanes: NDArray[np.float32]
+    sums: Array
+    grey: Array
+    pairs: Array
+    products: Array
+    half: Array
+
+
+@numba.njit(**FLAGS)
+def _new_scratch():
+    return _Scratch(np.zeros((3, 3)), np.zeros(8), np.zeros(8), np.zeros(8 * WIDTH, np.float32),
+                    np.zeros(72 * WIDTH), np.zeros(N_SUMS * WIDTH), np.zeros(216 * WIDTH), np.zeros((6, 8, 8)),
+                    np.zeros((8, 8)))
+
+
+@numba.njit(**INLINED)
+def _cubic_weights(t):
+    """Weights of the four coefficients about a fraction t of a voxel."""
+    one = splat(1.0)
+    u = one - t
+    w0, w3 = u * u * u * splat(1 / 6), t * t * t * splat(1 / 6)
+    w1 = splat(2 / 3) - splat(0.5) * t * t * (one + u)
+    # The last weight is what the others leave to 1, so that constants are kept to rounding.
+    return w0, w1, one - w0 - w1 - w3, w3
+
+
+@numba.njit(**INLINED)
+def _along_row(c, at, x):
+    return x[0] * load(c, at) + x[1] * load(c, at + 1) + x[2] * load(c, at + 2) + x[3] * load(c, at + 3)
+
+
+@numba.njit(**INLINED)
+def _in_plane(c, at, row, x, y):
+    return (y[0] * _along_row(c, at, x) + y[1] * _along_row(c, at + row, x)
+            + y[2] * _along_row(c, at + 2 * row, x) + y[3] * _along_row(c, at + 3 * row, x))
+
+
+@numba.njit(**INLINED)
+def _evaluate_spline(deformed, at, t_x, t_y, t_z):
+    """Evaluate g at fractions of a voxel from neighbouring ones, the first of which is at a place."""
+    c, row, plane = deformed.coefficients, deformed.row_length, deformed.plane_length
+    x, y, z = _cubic_weights(t_x), _cubic_weights(t_y), _cubic_weights(t_z)
+    at -= 1 + row + plane
+    value = (z[0] * _in_plane(c, at, row, x, y) + z[1] * _in_plane(c, at + plane, row, x, y)
+             + z[2] * _in_plane(c, at + 2 * plane, row, x, y) + z[3] * _in_plane(c, at + 3 * plane, row, x, y))
+    return splat(deformed.scale) * value + splat(deformed.offset)
+
+
+@numba.njit(**INLINED)
+def _differentiate(f, at, step):
+    """Differentiate f at neighbouring voxels along the axis whose next voxel is a step away."""
+    return (splat(DIFFERENCES[0]) * (load(f, at + step) - load(f, at - step))
+            + splat(DIFFERENCES[1]) * (load(f, at + 2 * step) - load(f, at - 2 * step))
+            + splat(DIFFERENCES[2]) * (load(f, at + 3 * step) - load(f, at - 3 * step))
+            + splat(DIFFERENCES[3]) * (load(f, at + 4 * step) - load(f, at - 4 * step)))
+
+
+@numba.njit(**INLINED)
+def _find_gradient(reference, at):
+    """Grad f at neighbouring voxels."""
+    f = reference.values
+    return (_differentiate(f, at, 1), _differentiate(f, at, reference.row_length),
+            _differentiate(f, at, reference.plane_length))
+
+
+@numba.njit(**INLINED)
+def _is_linear(geometry, shapes_are_linear, e, inverse):
+    """Whether monomials of shape functions are linear along rows of cell e; d xi / dx is left in ``inverse``."""
+    X = geometry
+    a, b, c = X[e, 0, 1], X[e, 0, 2], X[e, 0, 3]
+    d, f, g = X[e, 1, 1], X[e, 1, 2], X[e, 1, 3]
+    h, i, j = X[e, 2, 1], X[e, 2, 2], X[e, 2, 3]
+    det = a * (f * j - g * i) - b * (d * j - g * h) + c * (d * i - f * h)
+    inverse[0, 0], inverse[0, 1], inverse[0, 2] = (f * j - g * i) / det, (c * i - b * j) / det, (b * g - c * f) / det
+    inverse[1, 0], inverse[1, 1], inverse[1, 2] = (g * h - d * j) / det, (a * j - c * h) / det, (c * d - a * g) / det
+    inverse[2, 0], inverse[2, 1], inverse[2, 2] = (d * i - f * h) / det, (b * h - a * i) / det, (a * f - b * d) / det
+    mixed, linear = 0.0, 0.0
+    for component in range(3):
+        for m in range(1, 4):
+            linear += abs(X[e, component, m])
+        for m in range(4, 8):
+            mixed += abs(X[e, component, m])
+    if mixed > AFFINE * linear:
+        return False
+    across = abs(inverse[1, 0]) + abs(inverse[2, 0])
+    return shapes_are_linear or across <= AFFINE * abs(inverse[0, 0])
+
+
+@numba.njit(**INLINED)
+def _begin_row(geometry, e, row, scratch):
+    """Monomials at the first voxel of a row of a cell that is linear along it, and their growth."""
+    X, G, phi, slope = geometry, scratch.inverse, scratch.phi, scratch.slope
+    x, y, z = row.x - X[e, 0, 0], row.y - X[e, 1, 0], row.z - X[e, 2, 0]
+    xi = G[0, 0] * x + G[0, 1] * y + G[0, 2] * z
+    eta = G[1, 0] * x + G[1, 1] * y + G[1, 2] * z
+    zeta = G[2, 0] * x + G[2, 1] * y + G[2, 2] * z
+    phi[0], phi[1], phi[2], phi[3] = 1.0, xi, eta, zeta
+    phi[4], phi[5], phi[6], phi[7] = xi * eta, xi * zeta, eta * zeta, xi * eta * zeta
+    a, b, c = G[0, 0], G[1, 0], G[2, 0]
+    slope[0], slope[1], slope[2], slope[3] = 0.0, a, b, c
+    # Where rows are not along xi, shape functions have no mixed terms, and those below meet zeros.
+    slope[4], slope[5], slope[6], slope[7] = a * eta, a * zeta, 0.0, a * eta * zeta
+
+
+@numba.njit(**INLINED)
+def _multiply(D, e, component, phi):
+    value = 0.0
+    for m in range(8):
+        value += D[e, component, m] * phi[m]
+    return value
+
+
+@numba.njit(**INLINED)
+def _count_together(u, v, w, du, dv, dw, n):
+    """How many of n voxels of a row, at most a vector, have displacements of one integer part, as the first one."""
+    n = min(n, WIDTH)
+    while n > 1:
+        k = n - 1
+        if (math.floor(u + du * k) == math.floor(u) and math.floor(v + dv * k) == math.floor(v)
+                and math.floor(w + dw * k) == math.floor(w)):
+            return n
+        n -= 1
+    return n
+
+
+@numba.njit(**INLINED)
+def _is_inside(sizes, x, y, z):
+    """Whether a position lies in the volume; one that is not a number does not."""
+    return (0.0 <= x <= sizes[0] - 1.0) and (0.0 <= y <= sizes[1] - 1.0) and (0.0 <= z <= sizes[2] - 1.0)
+
+
+@numba.njit(**INLINED)
+def _clamp(x, size):
+    """The position in the volume that is nearest, 0 for one that is not a number."""
+    x = x if x > 0.0 else 0.0
+    return min(x, size - 1.0)
+
+
+@numba.njit(**INLINED)
+def _stays_inside(geometry, displacement, e, sizes):
+    """Whether all displaced voxels of a cell certainly lie in the volume."""
+    inside = True
+    for corner in range(8):
+        xi, eta, zeta = 2.0 * (corner & 1) - 1.0, 1.0 * (corner & 2) - 1.0, 0.5 * (corner & 4) - 1.0
+        for i in range(3):
+            X, D = geometry[e, i], displacement[e, i]
+            at = (X[0] + D[0] + (X[1] + D[1]) * xi + (X[2] + D[2]) * eta + (X[3] + D[3]) * zeta
+                  + (X[4] + D[4]) * xi * eta + (X[5] + D[5]) * xi * zeta + (X[6] + D[6]) * eta * zeta
+                  + (X[7] + D[7]) * xi * eta * zeta)
+            inside = inside and (1.0 <= at <= sizes[i] - 2.0)
+    return inside
+
+
+@numba.njit(**INLINED)
+def _place_alone(deformed, row, x, u, v, w):
+    """Displacement of one voxel that may leave the volume, else to the nearest position in it; its weight, 1 or 0."""
+    sizes = deformed.sizes
+    if _is_inside(sizes, x + u, row.y + v, row.z + w):
+        return u, v, w, 1.0
+    return (_clamp(x + u, sizes[0]) - x, _clamp(row.y + v, sizes[1]) - row.y, _clamp(row.z + w, sizes[2]) - row.z, 0.0)
+
+
+@numba.njit(**INLINED)
+def _compare(reference, deformed, at, to, n, weight, t_x, t_y, t_z):
+    """For n neighbouring voxels: whether they count, f - g and g, which are 0 where they do not.
+
+    ``at`` is the place of the first one in f, and ``to`` in the coefficients of g that of the one below the first
+    displaced one, which t are the fractions from.
+    """
+    counts = mark_first(n) * splat(weight)
+    if reference.usable.size > 0:
+        counts = counts * load(reference.usable, at)
+    if deformed.usable.size > 0:
+        counts = counts * load(deformed.usable, to)
+    g = counts * _evaluate_spline(deformed, to, t_x, t_y, t_z)
+    return counts, counts * load(reference.values, at) - g, g
+
+
+@numba.njit(**INLINED)
+def _add_at(sums, place, value):
+    """Add a vector to a sum by lanes."""
+    at = place * WIDTH
+    store(sums, at, load(sums, at) + value)
+
+
+@numba.njit(**INLINED)
+def _total_at(sums, place):
+    """A sum over all lanes, which become 0."""
+    at = place * WIDTH
+    value = total(load(sums, at))
+    store(sums, at, splat_double(0.0))
+    return value
+
+
+@numba.njit(**INLINED)
+def _add_grey(sums, counts, r, g):
+    """Add neighbouring voxels to sums of (1, r, g, r^2, g^2, r g), by lanes."""
+    r, g = widen(r), widen(g)
+    _add_at(sums, 0, widen(counts))
+    _add_at(sums, 1, r)
+    _add_at(sums, 2, g)
+    _add_at(sums, 3, r * r)
+    _add_at(sums, 4, g * g)
+    _add_at(sums, 5, r * g)
+
+
+@numba.njit(**INLINED)
+def _add_row_moments(sums, kind, value, gradient, from_begin):
+    """Add neighbouring voxels to sums of value times grad f, and of the same times the place in the row, by lanes."""
+    a, b, c = widen(value * gradient[0]), widen(value * gradient[1]), widen(value * gradient[2])
+    first = 6 * kind
+    _add_at(sums, first, a)
+    _add_at(sums, first + 1, a * from_begin)
+    _add_at(sums, first + 2, b)
+    _add_at(sums, first + 3, b * from_begin)
+    _add_at(sums, first + 4, c)
+    _add_at(sums, first + 5, c * from_begin)
+
+
+@numba.njit(**INLINED)
+def _sum_linear_row(geometry, displacement, reference, deformed, e, row, inside, scratch, moments):
+    """Add a row of a cell whose monomials are linear along it to the cell's moments, and to grey sums by lanes."""
+    D, phi, slope, n_kinds = displacement, scratch.phi, scratch.slope, moments.shape[1]
+    _begin_row(geometry, e, row, scratch)
+    u0, v0, w0 = _multiply(D, e, 0, phi), _multiply(D, e, 1, phi), _multiply(D, e, 2, phi)
+    du, dv, dw = _multiply(D, e, 0, slope), _multiply(D, e, 1, slope), _multiply(D, e, 2, slope)
+    at_row = row.z * reference.plane_length + row.y * reference.row_length + reference.origin
+    to_row = row.z * deformed.plane_length + row.y * deformed.row_length + deformed.origin
+    x = row.x
+    while x < row.stop:
+        k = x - row.x
+        u, v, w, weight = u0 + du * k, v0 + dv * k, w0 + dw * k, 1.0
+        n = min(row.stop - x, WIDTH)
+        if not inside:
+            last = n - 1
+            if not (_is_inside(deformed.sizes, x + u, row.y + v, row.z + w)
+                    and _is_inside(deformed.sizes, x + last + u + du * last, row.y + v + dv * last,
+                                   row.z + w + dw * last)):
+                n = 1
+                u, v, w, weight = _place_alone(deformed, row, x, u, v, w)
+        n = _count_together(u, v, w, du, dv, dw, n)
+        i, j, l = math.floor(u), math.floor(v), math.floor(w)
+        places = count()
+        counts, r, g = _compare(reference, deformed, at_row + x,
+                                to_row + x + np.int64(l) * deformed.plane_length + np.int64(j) * deformed.row_length
+                                + np.int64(i), n, weight, splat(u - i) + places * splat(du),
+                                splat(v - j) + places * splat(dv), splat(w - l) + places * splat(dw))
+        gradient = _find_gradient(reference, at_row + x)
+        from_begin = widen(places + splat(1.0 * k))
+        _add_grey(scratch.grey, counts, r, g)
+        _add_row_moments(scratch.sums, 0, r, gradient, from_begin)
+        if n_kinds > 1:
+            _add_row_moments(scratch.sums, 1, g, gradient, from_begin)
+            _add_row_moments(scratch.sums, 2, counts, gradient, from_begin)
+        x += n
+    for kind in range(n_kinds):
+        for component in range(3):
+            place = 6 * kind + 2 * component
+            value, along = _total_at(scratch.sums, place), _total_at(scratch.sums, place + 1)
+            for m in range(8):
+                moments[e, kind, component, m] += value * phi[m] + along * slope[m]
+
+
+@numba.njit(**INLINED)
+def _add_up(X, e, i, xi, eta, zeta):
+    """A component of sum_m X_m phi_m, but for its constant."""
+    return (xi * (splat(X[e, i, 1]) + eta * (splat(X[e, i, 4]) + zeta * splat(X[e, i, 7])) + zeta * splat(X[e, i, 5]))
+            + eta * (splat(X[e, i, 2]) + zeta * splat(X[e, i, 6])) + zeta * splat(X[e, i, 3]))
+
+
+@numba.njit(**INLINED)
+def _find_slopes(X, e, i, xi, eta, zeta):
+    """Derivatives of a component of sum_m X_m phi_m by xi, eta and zeta."""
+    mixed = splat(X[e, i, 7])
+    by_xi = splat(X[e, i, 1]) + eta * splat(X[e, i, 4]) + zeta * (splat(X[e, i, 5]) + eta * mixed)
+    by_eta = splat(X[e, i, 2]) + xi * splat(X[e, i, 4]) + zeta * (splat(X[e, i, 6]) + xi * mixed)
+    by_zeta = splat(X[e, i, 3]) + xi * splat(X[e, i, 5]) + eta * (splat(X[e, i, 6]) + xi * mixed)
+    return by_xi, by_eta, by_zeta
+
+
+@numba.njit(**INLINED)
+def _find_local_coordinates(X, e, inverse, x, y, z):
+    """Invert x = X phi(xi, eta, zeta) at neighbouring voxels by Newton's method; x, y, z are from the cell's centre."""
+    G = inverse
+    xi = splat(G[0, 0]) * x + splat(G[0, 1] * y + G[0, 2] * z)
+    eta = splat(G[1, 0]) * x + splat(G[1, 1] * y + G[1, 2] * z)
+    zeta = splat(G[2, 0]) * x + splat(G[2, 1] * y + G[2, 2] * z)
+    for _ in range(NEWTON_STEPS):
+        p = _add_up(X, e, 0, xi, eta, zeta) - x
+        q = _add_up(X, e, 1, xi, eta, zeta) - splat(y)
+        r = _add_up(X, e, 2, xi, eta, zeta) - splat(z)
+        a, b, c = _find_slopes(X, e, 0, xi, eta, zeta)
+        d, f, g = _find_slopes(X, e, 1, xi, eta, zeta)
+        h, i, j = _find_slopes(X, e, 2, xi, eta, zeta)
+        fj, dj, di = f * j - g * i, g * h - d * j, d * i - f * h
+        reciprocal = splat(1.0) / (a * fj + b * dj + c * di)
+        d_xi = (fj * p + (c * i - b * j) * q + (b * g - c * f) * r) * reciprocal
+        d_eta = (dj * p + (a * j - c * h) * q + (c * d - a * g) * r) * reciprocal
+        d_zeta = (di * p + (b * h - a * i) * q + (a * f - b * d) * r) * reciprocal
+        xi, eta, zeta = xi - d_xi, eta - d_eta, zeta - d_zeta
+        if total(d_xi * d_xi + d_eta * d_eta + d_zeta * d_zeta) <= CLOSE * CLOSE:
+            break
+    return xi, eta, zeta
+
+
+@numba.njit(**INLINED)
+def _place_curved(X, e, row, x, n, scratch):
+    """Local coordinates of n neighbouring voxels, at most a vector; their monomials are left in ``scratch.lanes``."""
+    counts = mark_first(n)
+    # Beyond the last one it is repeated: nothing is known of what lies outside the cell.
+    places = counts * count() + (splat(1.0) - counts) * splat(n - 1)
+    xi, eta, zeta = _find_local_coordinates(X, e, scratch.inverse, places + splat(x - X[e, 0, 0]),
+                                            row.y - X[e, 1, 0], row.z - X[e, 2, 0])
+    lanes, xi_eta = scratch.lanes, xi * eta
+    store(lanes, 0, splat(1.0))
+    store(lanes, WIDTH, xi)
+    store(lanes, 2 * WIDTH, eta)
+    store(lanes, 3 * WIDTH, zeta)
+    store(lanes, 4 * WIDTH, xi_eta)
+    store(lanes, 5 * WIDTH, xi * zeta)
+    store(lanes, 6 * WIDTH, eta * zeta)
+    store(lanes, 7 * WIDTH, xi_eta * zeta)
+    return xi, eta, zeta
+
+
+@numba.njit(**INLINED)
+def _reaches_out(size, first, last, least_u, most_u):
+    """Whether voxels from a first to a last one leave the volume along an axis."""
+    return not (first + least_u >= 0.0 and last + most_u <= size - 1.0)
+
+
+@numba.njit(**INLINED)
+def _sum_curved_row(geometry, displacement, reference, deformed, e, row, inside, scratch, n_kinds):
+    """Add a row of any hexahedron to moments by lanes, and to grey sums."""
+    X, D, lanes, sizes = geometry, displacement, scratch.lanes, deformed.sizes
+    base_u, base_v, base_w = math.floor(D[e, 0, 0]), math.floor(D[e, 1, 0]), math.floor(D[e, 2, 0])
+    at_row = row.z * reference.plane_length + row.y * reference.row_length + reference.origin
+    to_row = row.z * deformed.plane_length + row.y * deformed.row_length + deformed.origin
+    x = row.x
+    while x < row.stop:
+        n, weight = min(row.stop - x, WIDTH), 1.0
+        xi, eta, zeta = _place_curved(X, e, row, x, n, scratch)
+        u = _add_up(D, e, 0, xi, eta, zeta) + splat(D[e, 0, 0] - base_u)
+        v = _add_up(D, e, 1, xi, eta, zeta) + splat(D[e, 1, 0] - base_v)
+        w = _add_up(D, e, 2, xi, eta, zeta) + splat(D[e, 2, 0] - base_w)
+        if not inside and (_reaches_out(sizes[0], x, x + n - 1, least(u) + base_u, most(u) + base_u)
+                           or _reaches_out(sizes[1], row.y, row.y, least(v) + base_v, most(v) + base_v)
+                           or _reaches_out(sizes[2], row.z, row.z, least(w) + base_w, most(w) + base_w)):
+            n = 1
+            alone_u, alone_v, alone_w, weight = _place_alone(deformed, row, x, first_of(u) + base_u,
+                                                             first_of(v) + base_v, first_of(w) + base_w)
+            u, v, w = splat(alone_u - base_u), splat(alone_v - base_v), splat(alone_w - base_w)
+        i, j, l = round_down(u), round_down(v), round_down(w)
+        whole_u, whole_v, whole_w = first_of(i), first_of(j), first_of(l)
+        n = min(n, count_equal(i, splat(whole_u)), count_equal(j, splat(whole_v)), count_equal(l, splat(whole_w)))
+        to = (to_row + x + (np.int64(whole_w) + np.int64(base_w)) * deformed.plane_length
+              + (np.int64(whole_v) + np.int64(base_v)) * deformed.row_length + np.int64(whole_u) + np.int64(base_u))
+        counts, r, g = _compare(reference, deformed, at_row + x, to, n, weight, u - i, v - j, w - l)
+        f_x, f_y, f_z = _find_gradient(reference, at_row + x)
+        _add_grey(scratch.grey, counts, r, g)
+        for kind in range(n_kinds):
+            value = r
+            if kind == 1:
+                value = g
+            elif kind == 2:
+                value = counts
+            a, b, c = value * f_x, value * f_y, value * f_z
+            for m in range(8):
+                phi = load(lanes, m * WIDTH)
+                _add_at(scratch.sums, 24 * kind + m, widen(a * phi))
+                _add_at(scratch.sums, 24 * kind + 8 + m, widen(b * phi))
+                _add_at(scratch.sums, 24 * kind + 16 + m, widen(c * phi))
+        x += n
+
+
+@numba.njit(**FLAGS)
+def residual_sums(cells, shapes_are_linear, displacement, reference, deformed, sums):
+    """Accumulate, per cell, moments of the residual against grad f and the monomials, and plain sums.
+
+    ``displacement`` holds the coefficients of u on the monomials, (n_cells, 3, 8), voxels; ``deformed`` is a box of g
+    that holds all x + u(x) that lie in the volume. Moments of g and of 1 are accumulated too where ``sums`` has room.
+    """
+    scratch = _new_scratch()
+    n_kinds = sums.moments.shape[1]
+    for visit in range(len(cells.order)):
+        e = cells.order[visit]
+        run = cells.row_ptr[e]
+        is_whole = run == cells.row_ptr[e + 1]
+        is_linear = _is_linear(cells.geometry, shapes_are_linear, e, scratch.inverse)
+        inside = _stays_inside(cells.geometry, displacement, e, deformed.sizes)
+        for z in range(cells.lower[e, 2], cells.upper[e, 2]):
+            for y in range(cells.lower[e, 1], cells.upper[e, 1]):
+                x, stop = cells.lower[e, 0], cells.upper[e, 0]
+                if not is_whole:
+                    stop = x + np.int64(cells.stops[run])
+                    x += np.int64(cells.starts[run])
+                    run += 1
+                if x >= stop:
+                    continue
+                row = _Row(x, stop, y, z)
+                if is_linear:
+                    _sum_linear_row(cells.geometry, displacement, reference, deformed, e, row, inside, scratch,
+                                    sums.moments)
+                else:
+                    _sum_curved_row(cells.geometry, displacement, reference, deformed, e, row, inside, scratch,
+                                    n_kinds)
+        if not is_linear:
+            for kind in range(n_kinds):
+                for component in range(3):
+                    for m in range(8):
+                        sums.moments[e, kind, component, m] += _total_at(scratch.sums, 24 * kind + 8 * component + m)
+        for k in range(N_SUMS):
+            sums.grey[e, k] += _total_at(scratch.grey, k)
+
+
+@numba.njit(**INLINED)
+def _add_slopes(scratch, reference, at, n, k):
+    """Add n neighbouring voxels, the first of which is k after the row's first, to sums of grad f grad f^T.
+
+    By lanes, and of the same times the place in the row, and its square.
+    """
+    counts = mark_first(n)
+    if reference.usable.size > 0:
+        counts = counts * load(reference.usable, at)
+    f_x, f_y, f_z = _find_gradient(reference, at)
+    f_x, f_y, f_z = widen(counts * f_x), widen(counts * f_y), widen(counts * f_z)
+    place = widen(count() + splat(1.0 * k))
+    _add_powers(scratch.sums, 0, f_x * f_x, place)
+    _add_powers(scratch.sums, 3, f_x * f_y, place)
+    _add_powers(scratch.sums, 6, f_x * f_z, place)
+    _add_powers(scratch.sums, 9, f_y * f_y, place)
+    _add_powers(scratch.sums, 12, f_y * f_z, place)
+    _add_powers(scratch.sums, 15, f_z * f_z, place)
+
+
+@numba.njit(**INLINED)
+def _add_powers(sums, first, value, place):
+    along = value * place
+    _add_at(sums, first, value)
+    _add_at(sums, first + 1, along)
+    _add_at(sums, first + 2, along * place)
+
+
+@numba.njit(**INLINED)
+def _spread_slopes(scratch, n_monomials):
+    """Add the sums of a row to those of grad f grad f^T times products of two monomials, which are linear in it."""
+    phi, slope, products = scratch.phi, scratch.slope, scratch.products
+    for pair in range(6):
+        p_0, p_1 = _total_at(scratch.sums, 3 * pair), _total_at(scratch.sums, 3 * pair + 1)
+        p_2 = _total_at(scratch.sums, 3 * pair + 2)
+        for m in range(n_monomials):
+            a, b = p_0 * phi[m] + p_1 * slope[m], p_1 * phi[m] + p_2 * slope[m]
+            for n in range(n_monomials):
+                products[pair, m, n] += a * phi[n] + b * slope[n]
+
+
+@numba.njit(**INLINED)
+def _add_curved_slopes(scratch, reference, at, n):
+    """Add neighbouring voxels to sums of grad f grad f^T times products of two monomials, by lanes."""
+    counts = mark_first(n)
+    if reference.usable.size > 0:
+        counts = counts * load(reference.usable, at)
+    lanes, sums = scratch.lanes, scratch.pairs
+    f_x, f_y, f_z = _find_gradient(reference, at)
+    f_x, f_y, f_z = counts * f_x, counts * f_y, counts * f_z
+    xx, xy, xz = widen(f_x * f_x), widen(f_x * f_y), widen(f_x * f_z)
+    yy, yz, zz = widen(f_y * f_y), widen(f_y * f_z), widen(f_z * f_z)
+    first = 0
+    for m in range(8):
+        one = load(lanes, m * WIDTH)
+        for k in range(m, 8):
+            product = widen(one * load(lanes, k * WIDTH))
+            _add_at(sums, first, xx * product)
+            _add_at(sums, first + 1, xy * product)
+            _add_at(sums, first + 2, xz * product)
+            _add_at(sums, first + 3, yy * product)
+            _add_at(sums, first + 4, yz * product)
+            _add_at(sums, first + 5, zz * product)
+            first += 6
+
+
+@numba.njit(**INLINED)
+def _total_pairs(scratch):
+    """Add up the lanes of the sums of a cell that is not linear along rows."""
+    first = 0
+    for m in range(8):
+        for k in range(m, 8):
+            for pair in range(6):
+                value = _total_at(scratch.pairs, first + pair)
+                scratch.products[pair, m, k] += value
+                if k > m:
+                    scratch.products[pair, k, m] += value
+            first += 6
+
+
+@numba.njit(**INLINED)
+def _combine_products(scratch, T, e, out):
+    """Write M_e into out[e] (8, 3, 8, 3) from sums of products of monomials, of which shape functions are T (8, 8)."""
+    half = scratch.half
+    pair = 0
+    for c in range(3):
+        for d in range(c, 3):
+            products = scratch.products[pair]
+            for a in range(8):
+                for n in range(8):
+                    value = 0.0
+                    for m in range(8):
+                        value += T[a, m] * products[m, n]
+                    half[a, n] = value
+            for a in range(8):
+                for b in range(8):
+                    value = 0.0
+                    for n in range(8):
+                        value += half[a, n] * T[b, n]
+                    out[e, a, c, b, d] = value
+                    out[e, a, d, b, c] = value
+            pair += 1
+    scratch.products[:] = 0.0
+
+
+@numba.njit(**FLAGS)
+def hessian_cells(cells, shapes, shapes_are_linear, reference, out):
+    """Assemble M_e = sum_vx N_a N_b grad f grad f^T of every cell, Eq. 7 of [BP17].
+
+    ``out`` is (n_cells, 8, 3, 8, 3) by a, component, b, component; grey levels squared per voxel squared.
+    """
+    scratch = _new_scratch()
+    n_monomials = 4 if shapes_are_linear else 8
+    for visit in range(len(cells.order)):
+        e = cells.order[visit]
+        run = cells.row_ptr[e]
+        is_whole = run == cells.row_ptr[e + 1]
+        is_linear = _is_linear(cells.geometry, shapes_are_linear, e, scratch.inverse)
+        for z in range(cells.lower[e, 2], cells.upper[e, 2]):
+            for y in range(cells.lower[e, 1], cells.upper[e, 1]):
+                x, stop = cells.lower[e, 0], cells.upper[e, 0]
+                if not is_whole:
+                    stop = x + np.int64(cells.stops[run])
+                    x += np.int64(cells.starts[run])
+                    run += 1
+                if x >= stop:
+                    continue
+                row = _Row(x, stop, y, z)
+                at = z * reference.plane_length + y * reference.row_length + reference.origin + x
+                if is_linear:
+                    _begin_row(cells.geometry, e, row, scratch)
+                    for k in range(0, stop - x, WIDTH):
+                        _add_slopes(scratch, reference, at + k, min(stop - x - k, WIDTH), k)
+                    _spread_slopes(scratch, n_monomials)
+                else:
+                    for k in range(0, stop - x, WIDTH):
+                        n = min(stop - x - k, WIDTH)
+                        _place_curved(cells.geometry, e, row, x + k, n, scratch)
+                        _add_curved_slopes(scratch, reference, at + k, n)
+        if not is_linear:
+            _total_pairs(scratch)
+        _combine_products(scratch, shapes.coefficients[shapes.kinds[e]], e, out)
