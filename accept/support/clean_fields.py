@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from ddic.fracture.crack_tip import evaluate_williams_series, find_kolosov_constant
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 from ddic.synth.fields import Kirsch
 
 Array = NDArray[np.float64]

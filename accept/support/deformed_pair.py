@@ -24,7 +24,7 @@ from ddic.functionals.correlation import read_correlation
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.strain import compute_strain
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 from ddic.synth.render import find_reference_points
 from ddic.synth.speckle import SpeckleTexture
 

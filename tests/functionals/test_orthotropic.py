@@ -19,7 +19,7 @@ from ddic.functionals.regularization import (
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 from ddic.mesh.quality import measure_areas
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes

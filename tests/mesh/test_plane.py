@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddic.mesh.plane import Rotation, build_rotation, compute_normals, multiply_across
+from ddic.mesh.plane import compute_normals, multiply_across
+from ddic.mesh.rotation import Rotation, build_rotation
 
 # Rounding of sine and cosine.
 ROUNDING = 1e-15
@@ -24,11 +25,11 @@ def test_a_rotation_keeps_lengths_and_turns_by_its_angle() -> None:
 
 def test_a_rotation_is_undone_by_its_inverse() -> None:
     vectors = np.random.default_rng(2).normal(size=(20, 2))
-    rotation = Rotation(0.7)
+    rotation = Rotation(np.array([0.7]))
     np.testing.assert_array_equal(rotation.apply(vectors), vectors @ build_rotation(0.7).T)
     np.testing.assert_allclose(rotation.apply_inverse(rotation.apply(vectors)), vectors, atol=10 * ROUNDING)
 
 
 def test_normals_are_turned_by_a_quarter() -> None:
     vectors = np.random.default_rng(3).normal(size=(20, 2))
-    np.testing.assert_allclose(compute_normals(vectors), Rotation(np.pi / 2).apply(vectors), atol=10 * ROUNDING)
+    np.testing.assert_allclose(compute_normals(vectors), Rotation(np.array([np.pi / 2])).apply(vectors), atol=10 * ROUNDING)

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 from ddic.functionals.regularization import Material, integrate_cell_stiffness
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team

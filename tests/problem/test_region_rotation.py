@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ddic.mesh.plane import Rotation
+from ddic.mesh.rotation import Rotation
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.problem.added_forces import HeldRotation, RigidMotion, fit_rigid_motion
@@ -32,7 +32,7 @@ def _write(folder: Path) -> Path:
 def test_a_rigid_motion_is_found(shared_path: Path, angle: float) -> None:
     team = Team.world()
     reference = prepare(team, _write(shared_path))
-    motion = RigidMotion(Rotation(angle), np.array([70.0, 90.0]), np.array([3.0, -2.0]))
+    motion = RigidMotion(Rotation(np.array([angle])), np.array([70.0, 90.0]), np.array([3.0, -2.0]))
     q = [motion.evaluate(s.mesh.nodes).ravel() for s in reference.subdomains]
     found = fit_rigid_motion(Field(team, reference.subdomains, q))
     np.testing.assert_allclose(found.rotation.angle, angle, atol=1e-12)
@@ -45,7 +45,7 @@ def test_forces_take_the_gap_of_the_rotation_away(shared_path: Path) -> None:
     team = Team.world()
     reference = prepare(team, _write(shared_path))
     systems = assemble_alike(team, reference).systems
-    motion = RigidMotion(Rotation(0.3), np.array([96.0, 96.0]), np.array([1.0, 2.0]))
+    motion = RigidMotion(Rotation(np.array([0.3])), np.array([96.0, 96.0]), np.array([1.0, 2.0]))
     q = Field(team, reference.subdomains, [motion.evaluate(s.subdomain.mesh.nodes).ravel() for s in systems])
     forces = HeldRotation(team, systems).compute_forces(q)
     pieces = team.gather_lists([(s.subdomain.numbers, f) for s, f in zip(systems, forces, strict=True)])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 from ddic.mesh.topology import find_adjacent_cells, find_facets
 
 Array = NDArray[np.float64]

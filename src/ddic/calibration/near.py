@@ -16,7 +16,7 @@ from ddic.images.camera import CameraMapping, similarity
 from ddic.images.source import ImageSource
 from ddic.images.spline import read_gradient
 from ddic.images.window import Window
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 
 RATIO_RANGE = 0.15
 """Relative error of the given ratio that the search covers; a larger one takes longer, for steps are shares of it."""

@@ -4,7 +4,7 @@ K is the linear elastic stiffness with Young's modulus 1 (of a composite E2), un
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from scipy import sparse
@@ -13,10 +13,9 @@ from ddic.arrays import Array, BoolArray
 from ddic.kinematics.cell_interpolation import interpolate_cells, number_cell_dofs
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.cell_parts import CellParts, place_quadrature_points
-from ddic.mesh.cell_type import N_MONOMIALS
 from ddic.mesh.interpolation import differentiate_shapes_at
 from ddic.mesh.mesh import Mesh, compute_shape_gradients
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 
 _CHUNK_CELLS = 2_000
 """Cells whose products of gradients are held at once: few enough for a processor's cache, in which they take half the
@@ -31,8 +30,9 @@ class Material:
     ----------
     poisson_ratio : float
         nu, -1 < nu < 0.5; of an orthotropic material nu12, nu12^2 < E1 / E2.
-    plane : {"stress", "strain"}
-        Whether the stress or the strain across the plane is zero; it is the stress in an orthotropic material.
+    plane : {"stress", "strain"} or None
+        Whether the stress or the strain across the plane is zero; it is the stress in an orthotropic material. None in
+        a volume, where the material is isotropic.
     young_ratio : float
         E1 / E2.
     shear_ratio : float or None
@@ -42,10 +42,15 @@ class Material:
     """
 
     poisson_ratio: float = 0.3
-    plane: Literal["stress", "strain"] = "stress"
+    plane: Literal["stress", "strain"] | None = "stress"
     young_ratio: float = 1.0
     shear_ratio: float | None = None
     angle: float = 0.0
+
+    @classmethod
+    def default(cls, dim: int) -> Self:
+        """Give the isotropic one with the default ratio of Poisson, in plane stress or in space."""
+        return cls(plane="stress" if dim == 2 else None)
 
     @property
     def is_isotropic(self) -> bool:
@@ -54,12 +59,12 @@ class Material:
 
     @property
     def axes(self) -> Array:
-        """Unit vectors along axes 1 and 2, one a column, (2, 2)."""
-        return build_rotation(self.angle)
+        """Unit vectors along its axes, one a column, (dim, dim)."""
+        return np.eye(3) if self.plane is None else build_rotation(self.angle)
 
     @property
     def lame(self) -> tuple[float, float]:
-        """Lambda and mu of s = lambda tr(e) I + 2 mu e in the plane; lambda is that of plane stress or strain."""
+        """Lambda and mu of s = lambda tr(e) I + 2 mu e: lambda of plane stress, or of plane strain and of space."""
         nu = self.poisson_ratio
         lame = nu / (1.0 - nu**2) if self.plane == "stress" else nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
         return lame, 1.0 / (2.0 * (1.0 + nu))
@@ -90,10 +95,10 @@ class Material:
 def integrate_cell_stiffness(mesh: Mesh, material: Material) -> Array:
     """Integrate K_e = int eps(v) : C : eps(u), C eps = lambda tr(eps) I + 2 mu eps if isotropic, over cells or parts.
 
-    K_e is between displacement components, (n_cells, 4 dim, 4 dim), node-major; zero for nodes that a cell does not
-    have. Lengths are in pixels.
+    K_e is between displacement components, (n_cells, n_monomials dim, n_monomials dim), node-major; zero for nodes that
+    a cell does not have. Lengths are in pixels.
     """
-    width = N_MONOMIALS * mesh.dim
+    width = mesh.n_monomials * mesh.dim
     cells = np.zeros((mesh.n_cells, width, width))
     for block in mesh.cell_blocks:
         quadrature = block.type.quadrature
@@ -291,7 +296,9 @@ def find_half_amplitudes(material: Material, wavelength: float) -> HalfAmplitude
     direction. ``wavelength`` is l_c, pixels.
     """
     c11, c22, _, shear = material.moduli
-    mean = ((c11**-2 + c22**-2) + (shear**-2 + shear**-2)) / 4.0
+    # Of dim^2 waves, dim are longitudinal.
+    n_others = 1 if material.plane else 2
+    mean = ((c11**-2 + c22**-2) / 2 + n_others * shear**-2) / (1 + n_others)
     return HalfAmplitudes(*(wavelength * (c**2 * mean) ** 0.25 for c in (shear, max(c11, c22))))
 
 

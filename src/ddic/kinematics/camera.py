@@ -14,7 +14,8 @@ from ddic.kinematics.enriched import Discontinuities, Opening
 from ddic.kinematics.kinematics import Kinematics
 from ddic.mesh.cell_parts import CellParts, Lines
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import Rotation, build_tree, compute_normals, find_runs, subdivide
+from ddic.mesh.plane import build_tree, compute_normals, find_runs, subdivide
+from ddic.mesh.rotation import Rotation
 
 REACH = 2.0
 """Distance from a mesh's nodes, in diameters of its largest cell, up to which a camera sees a line. Within one diameter
@@ -136,7 +137,7 @@ class CameraSetup:
         return columns.reshape(points.size, self.n_motion_unknowns)
 
     def _rotation(self, motion: Array) -> Rotation:
-        return Rotation(float(motion[2]) / self.length)
+        return Rotation(motion[2:3] / self.length)
 
 
 @dataclass(frozen=True, eq=False)

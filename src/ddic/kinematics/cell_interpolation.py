@@ -7,23 +7,22 @@ import numpy as np
 from scipy import sparse
 
 from ddic.arrays import Array, IntArray
-from ddic.mesh.cell_type import N_MONOMIALS
 from ddic.mesh.mesh import Mesh, compute_geometry, pad_cells, pad_shapes
 
 
 @dataclass(frozen=True)
 class CellInterpolation:
-    """Displacement u = sum_a N_a q_a in every cell of a mesh, written on the monomials (1, xi, eta, xi eta).
+    """Displacement u = sum_a N_a q_a in every cell of a mesh, written on the monomials.
 
     Attributes
     ----------
-    geometry : (n_cells, dim, 4 monomials) array
+    geometry : (n_cells, dim, n_monomials) array
         Coefficients of x, pixels.
-    shapes : (n_kinds, 4 nodes, 4 monomials) array
+    shapes : (n_kinds, n_monomials, n_monomials) array
         Shape coefficients of each cell type in the mesh; rows of nodes that a type does not have are zero.
     kinds : (n_cells,) int64 array
         Each cell's place in ``shapes``.
-    cell_dofs : (n_cells, 4 dim) int64 array
+    cell_dofs : (n_cells, n_monomials dim) int64 array
         Displacement components of each cell's nodes, node-major; a cell of fewer nodes repeats its first node's.
     n_dofs : int
         Number of the mesh's displacement components.
@@ -41,13 +40,13 @@ class CellInterpolation:
         return int(self.geometry.shape[1])
 
     def monomial_coefficients(self, q: Array) -> Array:
-        """Write a nodal displacement on the monomials, cell by cell, (n_cells, dim, 4 monomials), pixels."""
-        coefficients = np.empty((len(self.kinds), self.dim, N_MONOMIALS))
+        """Write a nodal displacement on the monomials, cell by cell, (n_cells, dim, n_monomials), pixels."""
+        coefficients = np.empty((len(self.kinds), self.dim, self.shapes.shape[2]))
         _expand(np.ascontiguousarray(q, dtype=np.float64), self.cell_dofs, self.kinds, self.shapes, coefficients)
         return coefficients
 
     def assemble_vector(self, moments: Array) -> Array:
-        """Assemble the cells' sums over pixels of some vector times the monomials, (n_cells, dim, 4 monomials).
+        """Assemble the cells' sums over pixels of some vector times the monomials, (n_cells, dim, n_monomials).
 
         Gives the sums over all pixels of the vector times N_a, (n_dofs,).
         """
@@ -58,7 +57,7 @@ class CellInterpolation:
     def take_to_corners(self, cells: IntArray, moments: Array) -> Array:
         """Take sums of some cells over pixels, of a vector times the monomials, to the corners of each.
 
-        From (n, dim, 4 monomials) to sums over the cell's pixels of the vector times N_a, (n, 4 dim), node-major; zero
+        From (n, dim, n_monomials) to sums over the cell's pixels of the vector times N_a, (n, n_monomials dim), node-major; zero
         for nodes that a cell does not have.
         """
         of_corners = np.einsum("eam,eim->eai", self.shapes[self.kinds[cells]], moments)
@@ -67,7 +66,7 @@ class CellInterpolation:
         return np.asarray(of_corners.reshape(n, n_corners * dim))
 
     def assemble_matrix(self, cells: Array, numbers: IntArray | None = None) -> sparse.csr_matrix:
-        """Assemble cell matrices, (n, 4 dim, 4 dim), into one of the whole mesh, (n_dofs, n_dofs).
+        """Assemble cell matrices, (n, n_monomials dim, n_monomials dim), into one of the whole mesh, (n_dofs, n_dofs).
 
         They are zero for nodes that a cell does not have; ``numbers`` are those of the cells, by default all of the
         mesh's.
@@ -81,13 +80,13 @@ class CellInterpolation:
 
 
 def number_cell_dofs(mesh: Mesh) -> IntArray:
-    """Give the dofs of each cell's nodes, (n_cells, 4 dim), node-major; a cell of fewer nodes repeats its first's."""
+    """Give the dofs of each cell's nodes, (n_cells, n_monomials dim), node-major; a cell of fewer nodes repeats its first's."""
     return (pad_cells(mesh)[:, :, None] * mesh.dim + np.arange(mesh.dim)).reshape(mesh.n_cells, -1)
 
 
 def interpolate_cells(mesh: Mesh) -> CellInterpolation:
     """Prepare the interpolation in the cells of a mesh."""
-    shapes = np.stack([pad_shapes(block.type) for block in mesh.cell_blocks])
+    shapes = np.stack([pad_shapes(block.type, mesh.n_monomials) for block in mesh.cell_blocks])
     kinds = np.empty(mesh.n_cells, dtype=np.int64)
     for place, block in enumerate(mesh.cell_blocks):
         kinds[block.cells] = place
@@ -99,7 +98,7 @@ def interpolate_cells(mesh: Mesh) -> CellInterpolation:
 
 @numba.njit(cache=True, nogil=True)
 def _expand(q, cell_dofs, kinds, shapes, coefficients):  # type: ignore[no-untyped-def]
-    """Write sum_a q_a T_am of every cell and component into coefficients (n_cells, dim, 4)."""
+    """Write sum_a q_a T_am of every cell and component into coefficients (n_cells, dim, n_monomials)."""
     n_cells, dim, n_monomials = coefficients.shape
     for e in range(n_cells):
         of_kind = shapes[kinds[e]]
@@ -194,7 +193,7 @@ def _add_corner(matrix, a, to, dim, beside, first, data):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True)
 def _assemble(cells, corners, n_nodes, numbers_like):  # type: ignore[no-untyped-def]
-    """Data, column numbers and row pointers of the sum of cell matrices (n, 4 dim, 4 dim) between corners (n, 4)."""
+    """Data, column numbers and row pointers of the sum of cell matrices (n, n_monomials dim, n_monomials dim) between corners (n, 4)."""
     dim = cells.shape[1] // corners.shape[1]
     cell_ptr, cells_of = _list_cells_of_nodes(corners, n_nodes)
     pair_ptr, neighbours = _find_neighbours(corners, cell_ptr, cells_of)

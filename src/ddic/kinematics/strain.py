@@ -7,9 +7,9 @@ import numpy as np
 
 from ddic.arrays import Array, IntArray
 from ddic.mesh.interpolation import differentiate_shapes_at
-from ddic.mesh.mesh import Mesh, invert_matrices, pad_cells
-from ddic.mesh.plane import Rotation, multiply_across
+from ddic.mesh.mesh import Mesh, compute_determinants, invert_matrices, pad_cells
 from ddic.mesh.quality import list_corner_edges
+from ddic.mesh.rotation import fit_rotation
 
 
 @dataclass(frozen=True)
@@ -114,51 +114,51 @@ def compute_hencky(green_lagrange: Array) -> Array:
 
 
 def find_principal_strains(tensors: Array) -> Array:
-    """Find the principal values of tensors xx, yy, xy, (n, 3): the larger one, then the smaller, (n, 2)."""
+    """Find the principal values of tensors, (n, n_components): the largest first, (n, dim)."""
+    if tensors.shape[1] > 3:
+        return np.asarray(np.linalg.eigvalsh(_build_tensors(tensors))[:, ::-1])
     xx, yy, xy = tensors.T
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     return np.column_stack([middle + radius, middle - radius])
 
 
 def compute_von_mises_strain(tensors: Array) -> Array:
-    """Compute the equivalent strain of von Mises, with the third principal strain of a constant volume.
+    """Compute the equivalent strain of von Mises, in the plane with the third principal strain of a constant volume.
 
-    sqrt(2/3 (e_1^2 + e_2^2 + e_3^2)), e_3 = -e_1 - e_2: the strain itself where a bar is pulled. Tensors are xx, yy,
-    xy, (n, 3).
+    sqrt(2/3 (e_1^2 + e_2^2 + e_3^2)) of the deviator, in the plane e_3 = -e_1 - e_2: the strain itself where a bar is
+    pulled. Tensors are (n, n_components).
     """
-    first, second = find_principal_strains(tensors).T
-    return np.asarray(np.sqrt(4.0 / 3.0 * (first**2 + first * second + second**2)))
+    principal = find_principal_strains(tensors)
+    if principal.shape[1] == 2:
+        first, second = principal.T
+        return np.asarray(np.sqrt(4.0 / 3.0 * (first**2 + first * second + second**2)))
+    deviator = principal - principal.mean(axis=1, keepdims=True)
+    return np.asarray(np.sqrt(2.0 / 3.0 * (deviator**2).sum(axis=1)))
 
 
 def project_rigid_motion_out(points: Array, displacement: Array) -> Array:
     """Take the rotation and the translation that fit best out of a displacement of any size.
 
-    It is known at points, both (n, 2) and of one unit. What is left is in the axes at rest: R^T (x + u - c') - (x - c)
-    with the rotation R and the centres c and c' of the points before and after.
+    It is known at points, both (n, dim) and of one unit. What is left is in the axes at rest: R^T (x + u - c') - (x -
+    c) with the rotation R and the centres c and c' of the points before and after.
     """
     before = points - points.mean(axis=0)
     after = points + displacement
     after = after - after.mean(axis=0)
-    cosine = (before * after).sum()
-    sine = multiply_across(before, after).sum()
-    rotation = Rotation(float(np.arctan2(sine, cosine)))
-    return np.asarray(rotation.apply_inverse(after) - before)
+    return np.asarray(after @ fit_rotation(after.T @ before) - before)
 
 
 def find_largest_gradient(mesh: Mesh, displacement: Array) -> float:
     """Find the largest stretch or shear at the corners of all cells: the largest singular value of grad u.
 
-    Below 1 / that, no factor on the displacement, (n_nodes, 2), of the nodes' unit, turns a corner inside out. Cells
-    are plane.
+    Below 1 / that, no factor on the displacement, (n_nodes, dim), of the nodes' unit, turns a corner inside out.
     """
-    one, other = list_corner_edges(mesh, mesh.nodes)
-    to_one, to_other = list_corner_edges(mesh, displacement)
-    edges = np.stack([one, other], axis=2)
-    gradients = np.stack([to_one, to_other], axis=2) @ np.linalg.inv(edges)
+    edges, moves = (list_corner_edges(mesh, values).transpose(0, 2, 1) for values in (mesh.nodes, displacement))
+    gradients = moves @ np.linalg.inv(edges)
     return float(np.linalg.norm(gradients, ord=2, axis=(1, 2)).max())
 
 
 def count_folded_cells(mesh: Mesh, moved: Array) -> int:
-    """Count the plane cells with a corner that is flat or inside out where nodes are ``moved``, (n_nodes, 2)."""
-    folded = multiply_across(*list_corner_edges(mesh, moved)) <= 0
+    """Count the cells with a corner that is flat or inside out where nodes are ``moved``, (n_nodes, dim)."""
+    folded = compute_determinants(list_corner_edges(mesh, moved)) <= 0
     return int(np.logical_or.reduceat(folded, mesh.offsets[:-1]).sum())

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
-from ddic.mesh.cell_type import N_MONOMIALS, differentiate_monomials, evaluate_monomials
+from ddic.mesh.cell_type import differentiate_monomials, evaluate_monomials
 from ddic.mesh.mesh import Mesh, compute_geometry, pad_cells, pad_shapes
 from ddic.mesh.plane import is_inside_edges, multiply_across
 from ddic.mesh.topology import find_boundary_facets
@@ -88,12 +88,12 @@ def interpolate_located(mesh: Mesh, values: Array, located: Located) -> Array:
 
 
 def evaluate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:
-    """Evaluate shape functions at points, pixels, in given cells, (n, 4); zero for nodes that a cell does not have."""
-    monomials = evaluate_monomials(place_in_cells(mesh, cells, points).local)
-    shapes = np.zeros((len(points), N_MONOMIALS))
+    """Evaluate shape functions at points, pixels, in given cells, (n, n_monomials); zero for a node it lacks."""
+    monomials = evaluate_monomials(place_in_cells(mesh, cells, points).local, mesh.n_monomials)
+    shapes = np.zeros((len(points), mesh.n_monomials))
     for block in mesh.cell_blocks:
         members = mesh.types[cells] == block.type.vtk
-        shapes[members] = monomials[members] @ pad_shapes(block.type).T
+        shapes[members] = monomials[members] @ pad_shapes(block.type, mesh.n_monomials).T
     return shapes
 
 
@@ -105,14 +105,14 @@ def weigh_nodes_at(mesh: Mesh, cells: IntArray, points: Array) -> sparse.csr_mat
 
 
 def differentiate_shapes_at(mesh: Mesh, cells: IntArray, points: Array) -> Array:
-    """Differentiate shape functions at points in cells, dN_a / dx_j, (n, 4, dim), 1/px; zero for a node it lacks."""
-    by_local = differentiate_monomials(place_in_cells(mesh, cells, points).local)
+    """Differentiate shape functions at points in cells, dN_a / dx_j, (n, n_monomials, dim), 1/px."""
+    by_local = differentiate_monomials(place_in_cells(mesh, cells, points).local, mesh.n_monomials)
     jacobian = np.einsum("pim,pmj->pij", compute_geometry(mesh)[cells], by_local)
     by_x = by_local @ np.linalg.inv(jacobian)
-    gradients = np.zeros((len(points), N_MONOMIALS, mesh.dim))
+    gradients = np.zeros((len(points), mesh.n_monomials, mesh.dim))
     for block in mesh.cell_blocks:
         members = mesh.types[cells] == block.type.vtk
-        gradients[members] = np.einsum("am,pmj->paj", pad_shapes(block.type), by_x[members])
+        gradients[members] = np.einsum("am,pmj->paj", pad_shapes(block.type, mesh.n_monomials), by_x[members])
     return gradients
 
 

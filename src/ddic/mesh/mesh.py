@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.mesh.cell_parts import CellParts, Outlines, find_offsets, join_cell_parts, join_parts
-from ddic.mesh.cell_type import CELL_TYPES, N_MONOMIALS, CellType
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.cell_type import CELL_TYPES, FEWEST_MONOMIALS, CellType
+from ddic.mesh.rotation import build_rotation
 
 
 @dataclass(frozen=True)
@@ -24,31 +24,33 @@ class Similarity:
     scale : float
         Pixels per mesh unit.
     angle : float
-        Radians, positive from +x to +y.
+        Radians, positive from +x to +y; 0 in a volume.
     translation : tuple of float
-        Pixels.
+        Pixels; empty for none.
     y_up : bool
-        Whether y of the mesh points up, S = diag(1, -1), and not down as in the image, S = I.
+        Whether y of the mesh points up, S = diag(1, -1), and not down as in the image, S = I; not in a volume.
     """
 
     scale: float = 1.0
     angle: float = 0.0
-    translation: tuple[float, ...] = (0.0, 0.0)
+    translation: tuple[float, ...] = ()
     y_up: bool = False
 
-    @property
-    def axes(self) -> Array:
-        """The mesh's axes in the image as columns, R S, (2, 2)."""
+    def get_axes(self, dim: int) -> Array:
+        """Give the mesh's axes in the image as columns, R S, (dim, dim)."""
+        if dim == 3:
+            return np.eye(dim)
         rotation = build_rotation(self.angle)
         return rotation @ np.diag([1.0, -1.0]) if self.y_up else rotation
 
     def to_pixels(self, points: Array) -> Array:
-        """Map points, (n, 2), from mesh units to pixels."""
-        return np.asarray(self.scale * points @ self.axes.T + np.asarray(self.translation))
+        """Map points, (n, dim), from mesh units to pixels."""
+        dim = points.shape[1]
+        return np.asarray(self.scale * points @ self.get_axes(dim).T + np.array(self.translation or (0.0,) * dim))
 
     def map_vectors_to_mesh_units(self, vectors: Array) -> Array:
-        """Map displacements, (n, 2), from pixels to mesh units."""
-        return vectors @ self.axes / self.scale
+        """Map displacements, (n, dim), from pixels to mesh units."""
+        return vectors @ self.get_axes(vectors.shape[1]) / self.scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +156,11 @@ class Mesh:
             blocks.append(CellsOfType(kind, members, self.cells[members, :kind.n_nodes]))
         return tuple(blocks)
 
+    @property
+    def n_monomials(self) -> int:
+        """Number of monomials that all its cells need, and of places for nodes in arrays of its cells."""
+        return max(FEWEST_MONOMIALS, self.cells.shape[1])
+
     @cached_property
     def family(self) -> str:
         """Family of its cells' types, one for all."""
@@ -254,10 +261,10 @@ def _number_used(nodes: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(is_used).astype(np.int64), (np.cumsum(is_used) - 1)[nodes]
 
 
-def pad_shapes(kind: CellType) -> Array:
-    """Pad a cell type's shape coefficients to (4 nodes, 4 monomials); rows of nodes that it does not have are zero."""
-    padded = np.zeros((N_MONOMIALS, N_MONOMIALS))
-    padded[:kind.n_nodes] = kind.shapes
+def pad_shapes(kind: CellType, n_monomials: int) -> Array:
+    """Pad a cell type's shape coefficients to (n_monomials, n_monomials); rows of nodes that it has not are zero."""
+    padded = np.zeros((n_monomials, n_monomials))
+    padded[:kind.n_nodes, :kind.shapes.shape[1]] = kind.shapes
     return padded
 
 
@@ -268,18 +275,18 @@ def sum_about_nodes(mesh: Mesh, of_cells: Array) -> Array:
 
 
 def pad_cells(mesh: Mesh) -> IntArray:
-    """Pad the cells' nodes to (n_cells, 4): a cell with fewer repeats its first node, whose padded shape is zero."""
-    cells = np.full((mesh.n_cells, N_MONOMIALS), -1, dtype=np.int64)
+    """Pad the cells' nodes to (n_cells, n_monomials): one with fewer repeats its first, whose padded shape is zero."""
+    cells = np.full((mesh.n_cells, mesh.n_monomials), -1, dtype=np.int64)
     cells[:, :mesh.cells.shape[1]] = mesh.cells
     first = cells[:, :1]
     return np.where(cells < 0, first, cells)
 
 
 def compute_geometry(mesh: Mesh, cells: IntArray | slice = slice(None)) -> Array:
-    """Find the map x = sum_m X_m phi_m(xi, eta) from the reference cell to cells: X, (n, dim, 4), pixels."""
-    of_type = np.zeros((max(CELL_TYPES) + 1, N_MONOMIALS, N_MONOMIALS))
-    for number, kind in CELL_TYPES.items():
-        of_type[number] = pad_shapes(kind)
+    """Find the map x = sum_m X_m phi_m(xi) from the reference cell to cells: X, (n, dim, n_monomials), pixels."""
+    of_type = np.zeros((max(CELL_TYPES) + 1, mesh.n_monomials, mesh.n_monomials))
+    for block in mesh.cell_blocks:
+        of_type[block.type.vtk] = pad_shapes(block.type, mesh.n_monomials)
     coordinates = mesh.nodes[pad_cells(mesh)[cells]]
     return np.ascontiguousarray(np.einsum("eam,eac->ecm", of_type[mesh.types[cells]], coordinates))
 
@@ -306,12 +313,22 @@ def compute_shape_gradients(mesh: Mesh, block: CellsOfType, local: Array) -> tup
 def invert_matrices(matrices: Array) -> tuple[Array, Array]:
     """Invert many small matrices, (..., dim, dim), none of them singular, and give their determinants too.
 
-    In two dimensions that is done by the closed form, which is ten times as fast.
+    By the closed form, which is ten times as fast as a factorisation of each.
     """
-    if matrices.shape[-1] != 2:
-        return np.linalg.inv(matrices), np.linalg.det(matrices)
-    a, b = matrices[..., 0, 0], matrices[..., 0, 1]
-    c, d = matrices[..., 1, 0], matrices[..., 1, 1]
-    det = a * d - b * c
-    adjugate = np.stack([d, -b, -c, a], axis=-1).reshape(matrices.shape)
+    det = compute_determinants(matrices)
+    if matrices.shape[-1] == 2:
+        a, b = matrices[..., 0, 0], matrices[..., 0, 1]
+        c, d = matrices[..., 1, 0], matrices[..., 1, 1]
+        adjugate = np.stack([d, -b, -c, a], axis=-1).reshape(matrices.shape)
+    else:
+        first, second, third = (matrices[..., row, :] for row in range(3))
+        adjugate = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=-1)
     return adjugate / det[..., None, None], det
+
+
+def compute_determinants(matrices: Array) -> Array:
+    """Compute the determinants of many matrices, (..., dim, dim), of two or three rows."""
+    if matrices.shape[-1] == 2:
+        return np.asarray(matrices[..., 0, 0] * matrices[..., 1, 1] - matrices[..., 0, 1] * matrices[..., 1, 0])
+    first, second, third = (matrices[..., row, :] for row in range(3))
+    return np.asarray((first * np.cross(second, third)).sum(axis=-1))

@@ -1,8 +1,7 @@
-"""Points, vectors and polylines of the plane: rotation, cross product, the nearest of some points."""
+"""Points, vectors and polylines of the plane: cross product, the nearest of some points."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -12,38 +11,6 @@ from ddic.arrays import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
-
-
-def build_rotation(angle: float) -> Array:
-    """Build the matrix R that turns a vector v of the plane to R v, from x towards y by an angle in radians."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
-
-
-@dataclass(frozen=True)
-class Rotation:
-    """A rotation, which in the plane is an angle; who only turns vectors need not know that.
-
-    Attributes
-    ----------
-    angle : float
-        Radians, from x towards y.
-    """
-
-    angle: float
-
-    @property
-    def matrix(self) -> Array:
-        """R, (2, 2)."""
-        return build_rotation(self.angle)
-
-    def apply(self, vectors: Array) -> Array:
-        """Turn vectors, (n, 2)."""
-        return np.asarray(vectors @ self.matrix.T)
-
-    def apply_inverse(self, vectors: Array) -> Array:
-        """Turn vectors, (n, 2), back: the inverse of R is its transpose."""
-        return np.asarray(vectors @ self.matrix)
 
 
 def compute_normals(vectors: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Area, shape and corners of plane cells, whose nodes are corners; areas of parts on one side of a discontinuity."""
+"""Size, shape and corners of cells, whose nodes are corners; areas of parts on one side of a discontinuity."""
 
 from dataclasses import dataclass
 
@@ -6,65 +6,68 @@ import numba
 import numpy as np
 
 from ddic.arrays import Array, IntArray
-from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import multiply_across
+from ddic.mesh.mesh import Mesh, compute_determinants, compute_shape_gradients
 
 
 def measure_areas(mesh: Mesh) -> Array:
-    """Measure the whole cells by the shoelace formula in (x, y): signed areas, square pixels."""
-    return np.asarray(_measure_polygons(*mesh.whole_outlines))
+    """Measure the whole cells: signed areas in (x, y), or in a volume their volumes; pixels to the power dim."""
+    if mesh.dim == 2:
+        return np.asarray(_measure_polygons(*mesh.whole_outlines))
+    volumes = np.empty(mesh.n_cells)
+    for block in mesh.cell_blocks:
+        _, det = compute_shape_gradients(mesh, block, block.type.quadrature.points)
+        volumes[block.cells] = det @ block.type.quadrature.weights
+    return volumes
 
 
 def measure_cell_size(mesh: Mesh) -> float:
-    """Measure the size of a mesh's cells, which run positively: the root of their mean area, pixels."""
-    return float(np.sqrt(measure_areas(mesh).mean()))
+    """Measure the size of a mesh's cells, which run positively: the side of a square or cube like their mean, pixels."""
+    return float(measure_areas(mesh).mean() ** (1 / mesh.dim))
 
 
 def measure_shape_quality(mesh: Mesh) -> Array:
-    """Find the least sine of each cell's corners: 1 of a rectangle, <= 0 where it is not convex or runs negatively."""
-    ahead, behind = list_corner_edges(mesh, mesh.nodes)
-    lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
-    sines = np.divide(multiply_across(ahead, behind), lengths, out=np.zeros_like(lengths), where=lengths > 0)
+    """Find the least sine of each cell's corners: 1 of a rectangle, <= 0 where it is not convex or runs negatively.
+
+    In a volume it is what the edges of a corner, made one long, span.
+    """
+    edges = list_corner_edges(mesh, mesh.nodes)
+    lengths = np.linalg.norm(edges, axis=2).prod(axis=1)
+    sines = np.divide(compute_determinants(edges), lengths, out=np.zeros_like(lengths), where=lengths > 0)
     return np.asarray(np.minimum.reduceat(sines, mesh.offsets[:-1]))
 
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Corners of plane cells, cell after cell.
+    """Corners of cells, cell after cell.
 
     Attributes
     ----------
     cells, nodes : (n,) array of int64
         Each corner's cell and node.
-    ahead, behind : (n,) array of int64
-        The cell's nodes after and before it.
+    ends : (n, dim) array of int64
+        The nodes at the other ends of the edges that leave it, positively ordered: in the plane the cell's nodes after
+        and before it.
     """
 
     cells: IntArray
     nodes: IntArray
-    ahead: IntArray
-    behind: IntArray
+    ends: IntArray
 
 
 def list_corners(mesh: Mesh) -> Corners:
-    """List the corners of all cells, in the order of the cells' nodes; cells are plane, with their nodes as corners."""
-    counts = np.diff(mesh.offsets)
-    cells = np.repeat(np.arange(mesh.n_cells), counts)
-    first_of_cell, n_of_cell = mesh.offsets[cells], counts[cells]
-    place = np.arange(len(cells)) - first_of_cell
-    ahead = first_of_cell + (place + 1) % n_of_cell
-    behind = first_of_cell + (place - 1) % n_of_cell
-    return Corners(cells, mesh.connectivity, mesh.connectivity[ahead], mesh.connectivity[behind])
+    """List the corners of all cells, in the order of the cells' nodes."""
+    cells = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
+    ends = np.empty((len(cells), mesh.dim), dtype=np.int64)
+    for block in mesh.cell_blocks:
+        places = mesh.offsets[block.cells][:, None] + np.arange(block.type.n_nodes)
+        ends[places] = block.nodes[:, block.type.corner_edges]
+    return Corners(cells, mesh.connectivity, ends)
 
 
-def list_corner_edges(mesh: Mesh, values: Array) -> tuple[Array, Array]:
-    """List differences of nodal values, (n_nodes, k), from each corner of each cell to the next and the one before.
-
-    (n_corners, k) each; cells are plane, with their nodes as corners.
-    """
+def list_corner_edges(mesh: Mesh, values: Array) -> Array:
+    """List differences of nodal values, (n_nodes, k), along the edges that leave each corner, (n_corners, dim, k)."""
     corners = list_corners(mesh)
-    at_corners = values[corners.nodes]
-    return values[corners.ahead] - at_corners, values[corners.behind] - at_corners
+    return np.asarray(values[corners.ends] - values[corners.nodes][:, None])
 
 
 def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:

@@ -4,6 +4,10 @@ A pixel centre (x, y) belongs to the cell whose row y holds x_left <= x < x_righ
 the crossings of the row with the cell's edges. An edge from a to b crosses the rows y_a <= y < y_b.
 Both neighbours of an edge compute its crossings from the same two nodes in the same order, hence get
 the same floating-point number, hence share no pixel and leave none.
+
+In a volume, faces of four nodes are two triangles along the diagonal from the node of the lowest number, whatever the
+cell. A plane z cuts the edges from a to b with z_a <= z < z_b, hence the faces of a cell in closed polygons, whose
+edges and rows are as above.
 """
 
 from dataclasses import dataclass
@@ -26,19 +30,23 @@ different sides of a pixel centre; a larger value rounds less and forgives less.
 
 @dataclass(frozen=True)
 class Raster:
-    """Runs of pixels of every cell, row by row.
+    """Runs of pixels of every cell, row by row; in a volume plane by plane.
 
     Attributes
     ----------
-    first_row : (n_cells,) int64 array
-        Image row of each cell's first run.
+    first_rows : (n_cells, dim - 1) int64 array
+        Where the rows of each cell begin: y, in a volume y and z.
+    n_rows : (n_cells, dim - 1) int64 array
+        Number of rows along y and z. Where all have been gone through, they are begun again: rows of a cell of which
+        faces are not plane may have two runs.
     row_ptr : (n_cells + 1,) int64 array
-        Cell e owns runs row_ptr[e]:row_ptr[e + 1], one per row.
+        Cell e owns runs row_ptr[e]:row_ptr[e + 1].
     starts, stops : (n_runs,) int32 arrays
         Half-open columns of each run (may be empty).
     """
 
-    first_row: IntArray
+    first_rows: IntArray
+    n_rows: IntArray
     row_ptr: IntArray
     starts: NDArray[np.int32]
     stops: NDArray[np.int32]
@@ -51,58 +59,103 @@ class Raster:
 
     @property
     def rows(self) -> IntArray:
-        """Image row of each run, (n_runs,)."""
-        return list_ranges(self.first_row, np.diff(self.row_ptr))
+        """Row of each run, (n_runs, dim - 1): y, in a volume y and z."""
+        return self.find_runs(np.arange(len(self.n_rows)))[1]
 
-    @property
+    @cached_property
     def window(self) -> Window:
         """Bounding box of all pixels; raises ValueError where there is none."""
         filled = self.stops > self.starts
         if not filled.any():
             raise ValueError("no pixel centre lies inside the mesh")
         rows = self.rows[filled]
-        return Window.between([self.starts[filled].min(), rows.min()], [self.stops[filled].max(), rows.max() + 1])
+        return Window.between([self.starts[filled].min(), *rows.min(axis=0)],
+                              [self.stops[filled].max(), *(rows.max(axis=0) + 1)])
 
-    def find_covered(self, width: int, height: int) -> NDArray[np.uint8]:
-        """Draw the pixels that belong to a cell: 1 there, 0 elsewhere, (height, width)."""
-        return self.draw_cells(np.arange(len(self.first_row)), Window.of_size(width, height))
+    def find_covered(self, extent: Window) -> NDArray[np.uint8]:
+        """Draw the pixels that belong to a cell in the box of a whole image: 1 there, 0 elsewhere."""
+        return self.draw_cells(np.arange(len(self.n_rows)), extent)
 
     def draw_cells(self, cells: IntArray, window: Window) -> NDArray[np.uint8]:
         """Draw the pixels of some cells in a window: 1 there, 0 elsewhere."""
         runs, rows, _ = self.find_runs(cells)
-        inside = (rows >= window.y0) & (rows < window.y1)
+        rows = rows - window.lower[1:]
+        inside = ((rows >= 0) & (rows < window.sizes[1:])).all(axis=1)
         starts, stops = (np.clip(ends[runs[inside]] - window.x0, 0, window.width) for ends in (self.starts, self.stops))
         drawn = np.zeros(window.shape, dtype=np.uint8)
-        _fill_ones(rows[inside] - window.y0, starts, stops, drawn)
+        places = np.ravel_multi_index(rows[inside].T[::-1], window.shape[:-1])
+        _fill_ones(places, starts, stops, drawn.reshape(-1, window.width))
         return drawn
 
     def find_runs(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Find the runs of some cells: numbers, image rows and cells of the runs, (n_runs,) each."""
-        n_rows = np.diff(self.row_ptr)[cells]
-        runs, rows = (list_ranges(first[cells], n_rows) for first in (self.row_ptr, self.first_row))
-        return runs, rows, np.repeat(cells, n_rows)
+        """Find the runs of some cells: numbers, (n_runs,), rows, (n_runs, dim - 1), and cells, (n_runs,)."""
+        n_runs = np.diff(self.row_ptr)[cells]
+        runs = list_ranges(self.row_ptr[cells], n_runs)
+        of_runs = np.repeat(cells, n_runs)
+        left, rows = runs - self.row_ptr[of_runs], np.empty((len(runs), self.n_rows.shape[1]), dtype=np.int64)
+        for axis, n_rows in enumerate(self.n_rows[of_runs].T):
+            left, rows[:, axis] = np.divmod(left, n_rows)
+        return runs, rows + self.first_rows[of_runs], of_runs
 
-    def sum_by_cell(self, image: NDArray[Any], x0: int = 0, y0: int = 0) -> NDArray[Any]:
-        """Add up an image, whose first pixel is at (x0, y0), over each cell's pixels; nothing outside of it counts.
+    def sum_by_cell(self, image: NDArray[Any], window: Window) -> NDArray[Any]:
+        """Add up an image on a window over each cell's pixels; nothing outside of it counts.
 
         Sums, (n_cells,), are int64 for an image of integers, else float64.
         """
         is_counted = np.issubdtype(image.dtype, np.integer)
-        sums = np.zeros(len(self.first_row), dtype=np.int64 if is_counted else np.float64)
-        _add_up_pixels(image, x0, y0, self.first_row, self.row_ptr, self.starts, self.stops, sums)
+        sums = np.zeros(len(self.n_rows), dtype=np.int64 if is_counted else np.float64)
+        runs = self.row_ptr, self.starts, self.stops, sums
+        if len(window.sizes) == 2:
+            _add_up_pixels(image, window.x0, window.y0, self.first_rows[:, 0], *runs)
+        else:
+            _add_up_voxels(image, window.lower, self.first_rows, self.n_rows, *runs)
         return sums
 
 
 def rasterize(mesh: Mesh) -> Raster:
     """Find the pixels of every cell; cells must be convex, with straight edges."""
     outlines = mesh.outlines
-    y = outlines.corners[outlines.connectivity, 1]
-    first_row = np.ceil(np.minimum.reduceat(y, outlines.offsets[:-1])).astype(np.int64)
-    last_row = np.ceil(np.maximum.reduceat(y, outlines.offsets[:-1])).astype(np.int64)
-    row_ptr = find_offsets(np.maximum(last_row - first_row, 0))
+    at_corners = outlines.corners[outlines.connectivity, 1:]
+    first_rows = np.ceil(np.minimum.reduceat(at_corners, outlines.offsets[:-1])).astype(np.int64)
+    last_rows = np.ceil(np.maximum.reduceat(at_corners, outlines.offsets[:-1])).astype(np.int64)
+    n_rows = np.maximum(last_rows - first_rows, 0)
+    if mesh.dim == 3:
+        return _rasterize_volume(mesh, first_rows, n_rows)
+    row_ptr = find_offsets(n_rows[:, 0])
     starts, stops = np.empty((2, row_ptr[-1]), dtype=np.int32)
-    _fill_runs(*outlines, first_row, row_ptr, starts, stops)
-    return Raster(first_row, row_ptr, starts, stops)
+    _fill_runs(*outlines, first_rows[:, 0], row_ptr, starts, stops)
+    return Raster(first_rows, n_rows, row_ptr, starts, stops)
+
+
+def _rasterize_volume(mesh: Mesh, first_rows: IntArray, n_rows: IntArray) -> Raster:
+    """Find the runs of voxels between the faces of each cell."""
+    cells = (mesh.nodes, *_list_triangles(mesh), first_rows, n_rows)
+    times = np.ones(mesh.n_cells, dtype=np.int64)
+    _count_runs(*cells, times)
+    row_ptr = find_offsets(times * n_rows.prod(axis=1))
+    starts, stops = np.zeros((2, row_ptr[-1]), dtype=np.int32)
+    _fill_volume_runs(*cells, row_ptr, starts, stops)
+    return Raster(first_rows, n_rows, row_ptr, starts, stops)
+
+
+def _list_triangles(mesh: Mesh) -> tuple[IntArray, IntArray]:
+    """List the triangles that the cells' faces are made of, cell after cell: their nodes, and where each cell begins.
+
+    A face of four nodes is halved along the diagonal from that of the lowest number: by both cells alike, and in a part
+    of the mesh as in the whole.
+    """
+    triangles, cells = [], []
+    for block in mesh.cell_blocks:
+        for facet in block.type.facets:
+            nodes = block.nodes[:, facet]
+            lowest = nodes.argmin(axis=1)
+            for k in range(1, len(facet) - 1):
+                turned = (lowest[:, None] + np.array([0, k, k + 1])) % len(facet)
+                triangles.append(np.take_along_axis(nodes, turned, axis=1))
+                cells.append(block.cells)
+    order = np.argsort(np.concatenate(cells), kind="stable")
+    n_triangles = np.bincount(np.concatenate(cells), minlength=mesh.n_cells)
+    return np.concatenate(triangles)[order], find_offsets(n_triangles)
 
 
 def find_crossings(ends: Array) -> tuple[IntArray, IntArray, IntArray]:
@@ -159,6 +212,97 @@ def _fill_runs(nodes, connectivity, offsets, first_row, row_ptr, starts, stops):
                 stops[r] = 0
 
 
+MOST_CROSSINGS = 12
+"""Of a row with the faces of a cell: one with each triangle."""
+
+
+@numba.njit(cache=True)
+def _cut_edge(nodes, a, b, axis, at):  # type: ignore[no-untyped-def]
+    """Where the edge between two nodes, one of them not above a plane across an axis, crosses it."""
+    if nodes[a, axis] > nodes[b, axis]:
+        a, b = b, a
+    share = (at - nodes[a, axis]) / (nodes[b, axis] - nodes[a, axis])
+    x = nodes[a, 0] + share * (nodes[b, 0] - nodes[a, 0])
+    y = nodes[a, 1] + share * (nodes[b, 1] - nodes[a, 1])
+    return x, np.round(y * SNAP) / SNAP
+
+
+@numba.njit(cache=True)
+def _cross_rows(nodes, triangles, first, n, crossings, n_crossings):  # type: ignore[no-untyped-def]
+    """Find where rows cross the triangles of a cell: columns, (n_y n_z, MOST_CROSSINGS), and how many of each row."""
+    n_crossings[:n[0] * n[1]] = 0
+    for t in range(len(triangles)):
+        a, b, c = triangles[t]
+        lowest = min(nodes[a, 2], nodes[b, 2], nodes[c, 2])
+        highest = max(nodes[a, 2], nodes[b, 2], nodes[c, 2])
+        for z in range(np.int64(np.ceil(lowest)), np.int64(np.ceil(highest))):
+            # Of three nodes, two are on one side: the plane cuts the edges from the third one.
+            a_below, b_below, c_below = nodes[a, 2] <= z, nodes[b, 2] <= z, nodes[c, 2] <= z
+            if b_below == c_below:
+                apex, one, other = a, b, c
+            elif a_below == c_below:
+                apex, one, other = b, a, c
+            else:
+                apex, one, other = c, a, b
+            x_low, y_low = _cut_edge(nodes, apex, one, 2, z)
+            x_high, y_high = _cut_edge(nodes, apex, other, 2, z)
+            if y_low > y_high:
+                x_low, y_low, x_high, y_high = x_high, y_high, x_low, y_low
+            for y in range(np.int64(np.ceil(y_low)), np.int64(np.ceil(y_high))):
+                x = x_low + (y - y_low) / (y_high - y_low) * (x_high - x_low)
+                row = (z - first[1]) * n[0] + y - first[0]
+                crossings[row, n_crossings[row]] = np.int64(np.ceil(np.round(x * SNAP) / SNAP))
+                n_crossings[row] += 1
+
+
+@numba.njit(cache=True)
+def _new_crossings(n_rows):  # type: ignore[no-untyped-def]
+    most = 1
+    for e in range(len(n_rows)):
+        most = max(most, n_rows[e, 0] * n_rows[e, 1])
+    return np.empty((most, MOST_CROSSINGS), np.int64), np.empty(most, np.int64)
+
+
+@numba.njit(cache=True)
+def _count_runs(nodes, triangles, ends, first_rows, n_rows, times):  # type: ignore[no-untyped-def]
+    """Count the runs of each cell's rows, the most of them."""
+    crossings, n_crossings = _new_crossings(n_rows)
+    for e in range(len(n_rows)):
+        _cross_rows(nodes, triangles[ends[e]:ends[e + 1]], first_rows[e], n_rows[e], crossings, n_crossings)
+        for row in range(n_rows[e, 0] * n_rows[e, 1]):
+            times[e] = max(times[e], n_crossings[row] // 2)
+
+
+@numba.njit(cache=True)
+def _fill_volume_runs(nodes, triangles, ends, first_rows, n_rows, row_ptr, starts, stops):  # type: ignore[no-untyped-def]
+    """Fill the runs between every two crossings of a row."""
+    crossings, n_crossings = _new_crossings(n_rows)
+    for e in range(len(n_rows)):
+        _cross_rows(nodes, triangles[ends[e]:ends[e + 1]], first_rows[e], n_rows[e], crossings, n_crossings)
+        of_cell = n_rows[e, 0] * n_rows[e, 1]
+        for row in range(of_cell):
+            columns = np.sort(crossings[row, :n_crossings[row]])
+            for k in range(len(columns) // 2):
+                run = row_ptr[e] + k * of_cell + row
+                starts[run], stops[run] = columns[2 * k], columns[2 * k + 1]
+
+
+@numba.njit(cache=True)
+def _add_up_voxels(image, lower, first_rows, n_rows, row_ptr, starts, stops, sums):  # type: ignore[no-untyped-def]
+    """Add each cell's voxels of an image to its sum."""
+    depth, height, width = image.shape
+    for e in range(len(first_rows)):
+        total = sums[e]
+        for r in range(row_ptr[e], row_ptr[e + 1]):
+            k = r - row_ptr[e]
+            y = first_rows[e, 0] + k % n_rows[e, 0] - lower[1]
+            z = first_rows[e, 1] + k // n_rows[e, 0] % n_rows[e, 1] - lower[2]
+            if 0 <= y < height and 0 <= z < depth:
+                for x in range(max(starts[r] - lower[0], 0), min(stops[r] - lower[0], width)):
+                    total += image[z, y, x]
+        sums[e] = total
+
+
 @numba.njit(cache=True)
 def _add_up_pixels(image, x0, y0, first_row, row_ptr, starts, stops, sums):  # type: ignore[no-untyped-def]
     """Add each cell's pixels of an image to its sum."""
@@ -181,19 +325,19 @@ def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
 
 
 def list_pixels(raster: Raster, cells: IntArray) -> tuple[IntArray, IntArray]:
-    """List the pixels of some cells, columns and rows, (n, 2), and the cell of each, (n,)."""
+    """List the pixels of some cells, (n, dim), columns before rows, and the cell of each, (n,)."""
     runs, row_of_run, cell_of_run = raster.find_runs(cells)
     starts = raster.starts[runs].astype(np.int64)
     lengths = raster.stops[runs] - starts
-    columns, rows = list_ranges(starts, lengths), np.repeat(row_of_run, lengths)
-    return np.stack([columns, rows], axis=1).astype(np.int64), np.repeat(cell_of_run, lengths)
+    columns, rows = list_ranges(starts, lengths), np.repeat(row_of_run, lengths, axis=0)
+    return np.column_stack([columns, rows]).astype(np.int64), np.repeat(cell_of_run, lengths)
 
 
 def find_common_pixels(pixels: IntArray, others: IntArray) -> BoolArray:
-    """Tell which pixels, columns and rows, (n, 2), are among others."""
+    """Tell which pixels, (n, dim), are among others."""
     both = np.concatenate([pixels, others])
     if not len(both):
         return np.zeros(0, dtype=bool)
-    low = both.min(axis=0)
-    span = int(np.ptp(both[:, 0])) + 1
-    return np.isin((pixels - low) @ (1, span), (others - low) @ (1, span))
+    low, sizes = both.min(axis=0), np.ptp(both, axis=0) + 1
+    numbers, of_others = (np.ravel_multi_index((some - low).T, sizes) for some in (pixels, others))
+    return np.isin(numbers, of_others)

@@ -15,8 +15,8 @@ from ddic.arrays import Array, BoolArray
 from ddic.functionals.regularization import Material, integrate_cell_stiffness
 from ddic.kinematics.cell_interpolation import interpolate_cells
 from ddic.mesh.mesh import sum_about_nodes
-from ddic.mesh.plane import Rotation
 from ddic.mesh.quality import measure_areas
+from ddic.mesh.rotation import Rotation, fit_rotation
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
@@ -54,7 +54,7 @@ class RigidMotion:
     ----------
     rotation : Rotation
         R.
-    centre, translation : (2,) array
+    centre, translation : (dim,) array
         Centre, and its displacement, pixels.
     """
 
@@ -63,36 +63,32 @@ class RigidMotion:
     translation: Array
 
     def evaluate(self, points: Array) -> Array:
-        """Evaluate the displacement at points, (n, 2), pixels."""
+        """Evaluate the displacement at points, (n, dim), pixels."""
         arms = points - self.centre
-        return np.asarray(arms @ (self.rotation.matrix - np.eye(2)).T + self.translation)
+        return np.asarray(arms @ (self.rotation.matrix - np.eye(len(self.centre))).T + self.translation)
 
 
-def measure_turn(other: float, one: float) -> float:
-    """Measure the turn from one angle to another: the second less the first, between -pi and pi, radians."""
-    return float((one - other + np.pi) % (2 * np.pi) - np.pi)
-
-
-def choose_stiffness_angle(angle: float, before: float) -> float:
-    """Choose by which angle to turn the stiffness where the region has turned so far, radians; ``before`` if near."""
+def choose_stiffness_rotation(now: Rotation, before: Rotation) -> Rotation:
+    """Choose how to turn the stiffness where the region has turned so far; ``before`` itself if it is near."""
     # Not at every step's edge: two solutions might take turns.
-    is_near = abs(measure_turn(before, angle)) <= KEPT_STEPS * STEP_ANGLE
-    return before if is_near else round(angle / STEP_ANGLE) * STEP_ANGLE
+    is_near = before.measure_turn(now) <= KEPT_STEPS * STEP_ANGLE
+    return before if is_near else now.round_to(STEP_ANGLE)
 
 
 def fit_rigid_motion(q: Field) -> RigidMotion:
     """Fit a rigid motion to the displacement of all nodes, each weighted by the area about it; collective."""
     sums = q.team.ordered_sum(q.map(_sum_moments))
-    total, first, moved, products = sums[0], sums[1:3], sums[3:5], sums[5:].reshape(2, 2)
+    # 1 + dim + dim + dim^2 numbers are (dim + 1)^2.
+    dim = round(np.sqrt(len(sums))) - 1
+    total, first, moved, products = np.split(sums, [1, 1 + dim, 1 + 2 * dim])
     centre, moved_centre = first / total, moved / total
-    # Of sum (x - x_mean) (X - X_mean)^T, the angle that it turns by.
-    spread = products / total - np.outer(moved_centre, centre)
-    angle = float(np.arctan2(spread[1, 0] - spread[0, 1], spread[0, 0] + spread[1, 1]))
-    return RigidMotion(Rotation(angle), centre, moved_centre - centre)
+    # Of sum (x - x_mean) (X - X_mean)^T.
+    spread = products.reshape(dim, dim) / total - np.outer(moved_centre, centre)
+    return RigidMotion(Rotation.from_matrix(fit_rotation(spread)), centre, moved_centre - centre)
 
 
 def _sum_moments(subdomain: Subdomain, q: Array) -> Array:
-    """Of the nodes: their areas, and the sums of X, of x and of x X^T, (9,)."""
+    """Of the nodes: their areas, and the sums of X, of x and of x X^T, ((dim + 1)^2,)."""
     mesh, nodes = subdomain.mesh, subdomain.mesh.nodes
     weights = sum_about_nodes(mesh, measure_areas(mesh) / np.diff(mesh.offsets))
     moved = nodes + subdomain.kinematics.displacement(q[:subdomain.n_field]).reshape(nodes.shape)
@@ -119,13 +115,14 @@ class HeldRotation:
         q_R is the rigid motion of ``q``. The forces add up over subdomains.
         """
         motion = fit_rigid_motion(q)
-        angle = motion.rotation.angle
-        shares = np.array([*motion.translation, np.cos(angle) - 1.0, np.sin(angle)])
+        change = motion.rotation.matrix - np.eye(len(motion.centre))
+        of_fields = [(field * change).sum() / (field**2).sum() for field in _list_linear_fields(len(change))]
+        shares = np.array([*motion.translation, *of_fields])
         return q.with_parts(np.asarray(forces @ shares) for forces in self._forces_of_fields)
 
     @cached_property
     def _forces_of_fields(self) -> list[Array]:
-        """Forces of both translations, a dilation and a turn, (n_unknowns, 4); found once, collectively."""
+        """Forces of translations and of linear fields, (n_unknowns, n_fields); found once, collectively."""
         subdomains = [system.subdomain for system in self.systems]
         # Whatever the motion, its centre is the region's.
         centre = fit_rigid_motion(Field.zero(self.team, subdomains)).centre
@@ -140,11 +137,18 @@ class HeldRotation:
                 for system, kbar, *of_fields in zip(self.systems, kbars, *complete, strict=True)]
 
 
+def _list_linear_fields(dim: int) -> list[Array]:
+    """List matrices that R - I is made of: a dilation and a turn in the plane, each entry by itself in space."""
+    if dim == 2:
+        return [np.eye(2), np.array([[0.0, -1.0], [1.0, 0.0]])]
+    return list(np.eye(dim * dim).reshape(-1, dim, dim))
+
+
 def _fit_fields(subdomain: Subdomain, centre: Array) -> Array:
-    """Unknowns of both translations, of X - centre, and of the same turned by 90 degrees, (n_unknowns, 4)."""
-    arms = subdomain.mesh.nodes - centre
-    fields = [np.tile(axis, (len(arms), 1)) for axis in np.eye(2)]
-    fields += [arms, Rotation(np.pi / 2).apply(arms)]
+    """Unknowns of the translations, and of the linear fields of X - centre, (n_unknowns, n_fields)."""
+    arms, dim = subdomain.mesh.nodes - centre, len(centre)
+    fields = [np.tile(axis, (len(arms), 1)) for axis in np.eye(dim)]
+    fields += [arms @ of_field.T for of_field in _list_linear_fields(dim)]
     of_field = np.column_stack([subdomain.kinematics.fit(field.ravel()) for field in fields])
     return np.vstack([of_field, np.zeros((subdomain.n_motion, len(fields)))])
 
@@ -196,15 +200,16 @@ class FilledCells:
         return q.map(compute, self.of_nodes)
 
 
-def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[BoolArray], weight: float, angle: float) -> FilledCells:
+def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[BoolArray], weight: float,
+               rotation: Rotation) -> FilledCells:
     """Give cells without pixels an elastic energy; free of communication.
 
     ``cells``, (n_cells,), say which ones of each owned subdomain; ``weight`` is the mean diagonal of M, grey levels
-    squared per pixel squared, ``angle`` that by which the region has turned, radians.
+    squared per pixel squared, ``rotation`` that by which the region has turned.
     """
     of_nodes = tuple(_assemble(subdomain, chosen, STIFFNESS * weight)
                      for subdomain, chosen in zip(subdomains, cells, strict=True))
-    stiffness = tuple(_turn(subdomain, matrix, angle) for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
+    stiffness = tuple(_turn(subdomain, matrix, rotation) for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
     return FilledCells(of_nodes, stiffness, HELD * weight)
 
 
@@ -213,17 +218,17 @@ def _assemble(subdomain: Subdomain, chosen: BoolArray, modulus: float) -> sparse
     n_dofs = subdomain.mesh.n_dofs
     if not chosen.any():
         return sparse.csr_matrix((n_dofs, n_dofs))
-    of_cells = integrate_cell_stiffness(subdomain.mesh, Material())
+    of_cells = integrate_cell_stiffness(subdomain.mesh, Material.default(subdomain.mesh.dim))
     of_cells[~chosen] = 0.0
     stiffness: sparse.csr_matrix = interpolate_cells(subdomain.mesh).assemble_matrix(modulus * of_cells)
     return stiffness
 
 
-def _turn(subdomain: Subdomain, of_nodes: sparse.csr_matrix, angle: float) -> sparse.csr_matrix:
+def _turn(subdomain: Subdomain, of_nodes: sparse.csr_matrix, rotation: Rotation) -> sparse.csr_matrix:
     """The same on unknowns, R K R^T, (n_unknowns, n_unknowns)."""
     n_motion = subdomain.n_motion
     if not of_nodes.nnz:
         return sparse.csr_matrix((subdomain.n_unknowns, subdomain.n_unknowns))
-    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), Rotation(angle).matrix).tocsr()
+    turn = sparse.kron(sparse.identity(subdomain.mesh.n_nodes), rotation.matrix).tocsr()
     of_field = subdomain.kinematics.project_matrix((turn @ of_nodes @ turn.T).tocsr())
     return sparse.block_diag([of_field, sparse.csr_matrix((n_motion, n_motion))]).tocsr() if n_motion else of_field

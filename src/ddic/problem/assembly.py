@@ -27,10 +27,11 @@ from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur
 from ddic.inputs.mesh_source import NO_INNER_NODE
 from ddic.mesh.mesh import sum_about_nodes
+from ddic.mesh.rotation import Rotation
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.team import Team, require_held
 from ddic.partition.subdomain import Subdomain, interface_weights
-from ddic.problem.added_forces import STEP_ANGLE, FilledCells, fill_cells, fit_rigid_motion, measure_turn
+from ddic.problem.added_forces import STEP_ANGLE, FilledCells, fill_cells, fit_rigid_motion
 from ddic.problem.reference_problem import Hessians, ReferenceProblem, add_matrices, project_hessians, weigh_cameras
 from ddic.problem.region_mesh import ProbeWaves, Region, build_material
 from ddic.problem.residual_model import ResidualModel
@@ -48,7 +49,7 @@ fixed point does not depend on M, the speed of convergence does: a larger share 
 factors."""
 
 CHANGED_SIDE = 0.5
-"""Side, in cut-off wavelengths, of a square of as many pixels as may come or go whatever the share: where more is
+"""Side, in cut-off wavelengths, of a square, or cube, of as many pixels as may come or go whatever the share: where more is
 hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
 iterations."""
 
@@ -102,7 +103,7 @@ def assemble(team: Team, reference: ReferenceProblem, weights: Sequence[float], 
              ) -> Assembly:
     """Find eta for the whole region and set up the local systems; collective.
 
-    ``weights`` are those of the cameras' squared grey levels, no unit; ``rotation``, (2, 2), is that by which the
+    ``weights`` are those of the cameras' squared grey levels, no unit; ``rotation``, (dim, dim), is that by which the
     specimen has turned, if any. Raises InputError on all ranks, where a cut-off wavelength has no inner node.
     """
     case, subdomains = reference.inputs.case, reference.subdomains
@@ -184,14 +185,14 @@ class AssembledFrom:
     ----------
     n_pixels : ByView of (n_cells,) array
         Pixels that it counts.
-    inverse_deformations : ByView of (n_cells, 2, 2) array or None
+    inverse_deformations : ByView of (n_cells, dim, dim) array or None
         F^-1 with which their gradients were turned; None where they were not.
     filled : list of (n_cells,) bool array
         Cells that were given an elastic energy, of each subdomain.
     free : list of (n_field,) bool array
         Unknowns that no pixel holds, which are in equilibrium, of each subdomain.
-    angle : float
-        By which the region had turned then, radians.
+    rotation : Rotation
+        By which the region had turned then.
     blurs : tuple of (int, Blur)
         Of the reference images of cameras.
     """
@@ -200,7 +201,7 @@ class AssembledFrom:
     inverse_deformations: ByView[Array | None]
     filled: list[BoolArray]
     free: list[BoolArray]
-    angle: float = 0.0
+    rotation: Rotation
     blurs: tuple[tuple[int, Blur], ...] = ()
 
     @classmethod
@@ -208,7 +209,8 @@ class AssembledFrom:
         """Count all pixels of the reference images, with their own gradients."""
         return cls(views.map(View.count_pixels), views.map(lambda _: None),
                    [np.zeros(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains],
-                   [np.zeros(subdomain.n_field, dtype=bool) for subdomain in subdomains])
+                   [np.zeros(subdomain.n_field, dtype=bool) for subdomain in subdomains],
+                   Rotation.none(subdomains[0].mesh.dim))
 
 
 @dataclass(frozen=True)
@@ -258,21 +260,21 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
         unseen = [is_unseen & find_held(subdomain, then)
                   for is_unseen, subdomain, then in zip(unseen, subdomains, in_reference, strict=True)]
     free = _find_free_unknowns(team, subdomains, unseen)
-    filled, angle = None, 0.0
+    filled, rotation = None, Rotation.none(subdomains[0].mesh.dim)
     cells = [np.zeros(subdomain.mesh.n_cells, dtype=bool) for subdomain in subdomains]
     if len(free) and not is_regularized:
         cells = [np.sum(of_views, axis=0) == 0 for of_views in n_pixels]
-        angle = fit_rigid_motion(q).rotation.angle
-        filled = fill_cells(subdomains, cells, assembly.mean_diagonal, angle)
+        rotation = fit_rigid_motion(q).rotation
+        filled = fill_cells(subdomains, cells, assembly.mean_diagonal, rotation)
     in_equilibrium = free if is_regularized else free[:0]
     is_free = [np.isin(subdomain.kinematics.numbers, in_equilibrium) for subdomain in subdomains]
-    is_turned = abs(measure_turn(before.angle, angle)) > STEP_ANGLE
+    is_turned = before.rotation.measure_turn(rotation) > STEP_ANGLE
     now = AssembledFrom(n_pixels, shown.map(lambda view: view.correlation.inverse_deformations), cells, is_free,
-                        angle if is_turned else before.angle, model.blurs)
+                        rotation if is_turned else before.rotation, model.blurs)
 
     lost, turned, left = [], [], []
     for place, subdomain in enumerate(subdomains):
-        most = _bound_changes(int(np.sum(in_reference[place])), wavelength)
+        most = _bound_changes(int(np.sum(in_reference[place])), wavelength, subdomain.mesh.dim)
         lost.append(not _are_pixels_kept(subdomain, before.n_pixels[place], n_pixels[place], most))
         turns = map(measure_deformation, before.inverse_deformations[place], now.inverse_deformations[place])
         turned.append(max(turns, default=0.0) > LARGE)
@@ -317,13 +319,13 @@ def find_renewal(model: ResidualModel, q: Field, assembled: tuple[AssembledFrom,
     return Renewal(systems, assembled_from, notes, filled)
 
 
-def _bound_changes(n_pixels: int, wavelength: float) -> float:
+def _bound_changes(n_pixels: int, wavelength: float, dim: int) -> float:
     """Give the largest number of pixels that may come or go without a renewal.
 
     ``n_pixels`` are those of the subdomain in the reference images, ``wavelength`` is as ``find_renewal`` takes it.
     """
     share = CHANGED_SHARE * n_pixels
-    return min(share, (CHANGED_SIDE * wavelength) ** 2) if wavelength > 0 else share
+    return min(share, (CHANGED_SIDE * wavelength) ** dim) if wavelength > 0 else share
 
 
 def _choose(is_new: Sequence[bool], new: Sequence[T], old: Sequence[T]) -> list[T]:

@@ -12,11 +12,11 @@ from ddic.errors import SingularSubdomainError, as_collective, is_collective
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.functionals.view import CellSlopes, FrameView, View
 from ddic.inputs.cameras import Frame
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import Rotation
 from ddic.parallel.field import ByView, Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.team import Team
-from ddic.problem.added_forces import LEAST_ANGLE, HeldRotation, choose_stiffness_angle, fit_rigid_motion
+from ddic.problem.added_forces import LEAST_ANGLE, HeldRotation, choose_stiffness_rotation, fit_rigid_motion
 from ddic.problem.assembly import AssembledFrom, assemble, describe_lost_pixels, find_renewal, find_unseen_unknowns
 from ddic.problem.linear_solver import LinearSolver
 from ddic.problem.reference_problem import ReferenceProblem, weigh_cameras
@@ -57,8 +57,8 @@ class WeightedProblem:
         self._weights: list[float] = []
         self._solver: LinearSolver | None = None
         self._assembled_from = AssembledFrom.all_of(reference.subdomains, reference.views)
-        # By which the stiffness is turned, radians.
-        self._stiffness_angle = 0.0
+        # By which the stiffness is turned.
+        self._stiffness_rotation = Rotation.none(reference.subdomains[0].mesh.dim)
         # Whether a frame has changed M or K.
         self._is_changed = False
         cameras = reference.inputs.cameras
@@ -144,12 +144,13 @@ class WeightedProblem:
         """
         if self.reference.inputs.case.regularization is None:
             return model, ()
-        angle = fit_rigid_motion(q).rotation.angle
+        rotation = fit_rigid_motion(q).rotation
+        angle = rotation.angle
         notes: tuple[str, ...] = ()
-        of_stiffness = choose_stiffness_angle(angle, self._stiffness_angle)
-        if of_stiffness != self._stiffness_angle:
+        of_stiffness = choose_stiffness_rotation(rotation, self._stiffness_rotation)
+        if of_stiffness is not self._stiffness_rotation:
             self._turn_stiffness(of_stiffness)
-            notes = (f"the stiffness is turned by {np.rad2deg(self._stiffness_angle):.1f} degrees",)
+            notes = (f"the stiffness is turned by {np.rad2deg(of_stiffness.angle):.1f} degrees",)
         elif (abs(angle) > LEAST_ANGLE) == (model.rotation is not None):
             return model, ()
         if abs(angle) <= LEAST_ANGLE:
@@ -157,14 +158,14 @@ class WeightedProblem:
         note = f"the region has turned by {np.rad2deg(angle):.2f} degrees: the equilibrium gap is that of what is left"
         return replace(model, rotation=HeldRotation(self.team, self.solver.assembly.systems)), (*notes, note)
 
-    def _turn_stiffness(self, angle: float) -> None:
+    def _turn_stiffness(self, rotation: Rotation) -> None:
         """Set the systems up anew, with R K R^T; where that fails, the old ones stay."""
-        before, old = self._stiffness_angle, self.solver
-        self._stiffness_angle, self._is_changed = angle, True
+        before, old = self._stiffness_rotation, self.solver
+        self._stiffness_rotation, self._is_changed = rotation, True
         try:
             self._weigh(self._weights)
         except BaseException:
-            self._stiffness_angle, self._solver = before, old
+            self._stiffness_rotation, self._solver = before, old
             raise
         self.solver.n_factorized = old.n_factorized
         # Conjugate gradients that did not converge would not now.
@@ -219,7 +220,7 @@ class WeightedProblem:
         M and K are again what the reference images give, where frames have changed them.
         """
         if self._is_changed:
-            self._turn_stiffness(0.0)
+            self._turn_stiffness(Rotation.none(self.reference.subdomains[0].mesh.dim))
             self._is_changed = False
         elif self._solver is not None and self._solver.is_set_up:
             self._solver.step.forget()
@@ -234,8 +235,8 @@ class WeightedProblem:
         self._weights = weights
         reference = self.reference
         with self._clock.phase(Phase.ASSEMBLE):
-            rotation = None if self._stiffness_angle == 0 else build_rotation(self._stiffness_angle)
-            assembly = assemble(self.team, reference, weights, rotation)
+            is_turned = self._stiffness_rotation.angle != 0
+            assembly = assemble(self.team, reference, weights, self._stiffness_rotation.matrix if is_turned else None)
         self._assembled_from = AssembledFrom.all_of(reference.subdomains, reference.views)
         choice = reference.inputs.choice
         self._solver = LinearSolver(self.team, reference.inputs.case, assembly, self._clock,

@@ -148,23 +148,24 @@ def _measure_ways(subdomains: Sequence[Subdomain], before: Sequence[Array], afte
 
 
 def _sum_moments(subdomain: Subdomain, displacement: Array) -> Array:
-    """A subdomain's share of moments 1, x, u, x x, u x, |u|^2 of nodes' places and displacements, pixels, (13,)."""
+    """A subdomain's share of moments 1, x, u, x x, u x, |u|^2 of nodes' places and displacements, pixels."""
     share = 1.0 / subdomain.node_multiplicity
     nodes = subdomain.mesh.nodes
     u = displacement.reshape(nodes.shape)
     weighted = u * share[:, None]
-    xx = ((nodes * share[:, None]).T @ nodes).take((0, 1, 3))
-    return np.array([share.sum(), *(share @ nodes), *weighted.sum(axis=0), *xx, *(weighted.T @ nodes).ravel(),
+    xx = (nodes * share[:, None]).T @ nodes
+    return np.array([share.sum(), *(share @ nodes), *weighted.sum(axis=0), *xx.ravel(), *(weighted.T @ nodes).ravel(),
                      (weighted * u).sum()])
 
 
 def _remove_affine_part(moments: Array) -> float:
-    """Sum over nodes of |u|^2 without what the best affine motion explains, pixels squared, from moments (13,)."""
-    n, sum_x, sum_u = moments[0], moments[1:3], moments[3:5]
-    xx, xy, yy = moments[5:8]
-    spread = np.array([[xx, xy], [xy, yy]]) - np.outer(sum_x, sum_x) / n
-    together = moments[8:12].reshape(2, 2) - np.outer(sum_u, sum_x) / n
-    squares = moments[12] - sum_u @ sum_u / n
+    """Sum over nodes of |u|^2 without what the best affine motion explains, pixels squared, from ``_sum_moments``."""
+    # There are 2 (1 + dim + dim^2).
+    dim = {14: 2, 26: 3}[len(moments)]
+    n, sum_x, sum_u, xx, ux, uu = np.split(moments, np.cumsum([1, dim, dim, dim**2, dim**2]))
+    spread = xx.reshape(dim, dim) - np.outer(sum_x, sum_x) / n
+    together = ux.reshape(dim, dim) - np.outer(sum_u, sum_x) / n
+    squares = uu[0] - sum_u @ sum_u / n
     variances, axes = np.linalg.eigh(spread)
     # All nodes on a line, or one node: what cannot be told from a translation is none.
     is_wide = variances > LEAST_SPREAD * variances.max()

@@ -12,7 +12,7 @@ from ddic.errors import InputError
 from ddic.images.camera import CameraMapping
 from ddic.images.window import Window
 from ddic.io.replace_on_exit import NewFiles, begin_files
-from ddic.mesh.plane import build_rotation
+from ddic.mesh.rotation import build_rotation
 from ddic.synth.fields import DisplacementField, Hole, Pair, require_finite
 from ddic.synth.render import Picture, Scene, write_pair
 from ddic.synth.speckle import TwoScaleTexture
