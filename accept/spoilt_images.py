@@ -16,6 +16,7 @@ import ddic
 from accept.support.deformed_pair import Camera, Deformation, make_linear, make_rotation, render_deformed
 from accept.table import Scale
 from bench.support.rows import Row, append_result
+from ddic.images.window import Window
 from ddic.mesh.raster import rasterize
 from ddic.synth.speckle import SpeckleTexture
 
@@ -71,7 +72,8 @@ class SpoiltPair:
         column, row = np.clip(moved, 0, SIDE - 1).T
         hidden = self.hidden_reference.ravel() | ~is_inside | self.hidden_deformed[row, column]
         raster = rasterize(mesh)
-        return raster.pixel_counts, raster.sum_by_cell(hidden.reshape(SIDE, SIDE).astype(np.uint8), 0, 0)
+        is_hidden = hidden.reshape(SIDE, SIDE).astype(np.uint8)
+        return raster.pixel_counts, raster.sum_by_cell(is_hidden, Window.of_size(SIDE, SIDE))
 
 
 def draw_clean(translation: tuple[float, float] = (5.3, -7.2)) -> SpoiltPair:

@@ -7,7 +7,7 @@ are contiguous, and the caller minds their ends: a vector is always loaded whole
 Intrinsics are functions that numba asks, while it compiles a call of them, for the types and then for the
 instructions: the inner function writes the instructions for the values.
 """
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 import operator
 

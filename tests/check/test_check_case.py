@@ -14,6 +14,7 @@ from ddic.case.loader import load_case
 from ddic.check.case import CheckReport, check_case
 from ddic.cli.check import check
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.inputs.mesh_source import build_meshes
 from ddic.io.text_files import read_partition
 
@@ -154,7 +155,7 @@ def test_structured_mesh_with_mask_and_holes(folder: Path) -> None:
     (folder / "case.toml").write_text(IMAGES + GRID + 'mask = "mask.png"\n'
                                       "circles = [{ center = [60, 40], radius = 15 }]\n"
                                       "polygons = [{ vertices = [[70, 55], [90, 55], [90, 70], [70, 70]] }]\n")
-    mesh, _ = build_meshes(load_case(folder / "case.toml").case, 100, 80)
+    mesh, _ = build_meshes(load_case(folder / "case.toml").case, Window.of_size(100, 80))
     assert mesh.nodes[:, 0].min() == 30
     away = np.hypot(*(mesh.nodes[mesh.node_sets["hole_0"]] - [60, 40]).T)
     np.testing.assert_allclose(away, 15, rtol=1e-12)
@@ -166,7 +167,7 @@ def test_structured_mesh_snapped_to_a_mask(folder: Path) -> None:
     mask[33:58, 42:73] = 0
     cv2.imwrite(str(folder / "mask.png"), mask)
     (folder / "case.toml").write_text(IMAGES + GRID + 'mask = "mask.png"\nmask_outline = "snapped"\n')
-    mesh, _ = build_meshes(load_case(folder / "case.toml").case, 100, 80)
+    mesh, _ = build_meshes(load_case(folder / "case.toml").case, Window.of_size(100, 80))
     found = mesh.nodes[mesh.node_sets["hole_0"]]
     # The edges of the pixels that are left out, to the last digit, and their four corners.
     assert (found.min(axis=0).tolist(), found.max(axis=0).tolist()) == ([41.5, 32.5], [72.5, 57.5])

@@ -13,6 +13,7 @@ from click.testing import CliRunner, Result
 
 from ddic.case.loader import load_case
 from ddic.cli.app import command_line
+from ddic.images.window import Window
 from ddic.inputs.mesh_source import build_meshes
 from ddic.io.mesh_file import write_mesh
 from ddic.mesh.mesh import Mesh
@@ -49,7 +50,7 @@ def call(*words: object) -> Result:
 
 
 def mesh_of(path: Path) -> Mesh:
-    return build_meshes(load_case(path).case, 192, 192)[0]
+    return build_meshes(load_case(path).case, Window.of_size(192, 192))[0]
 
 
 @pytest.mark.parametrize("suffix", [".vtu", ".inp"])

@@ -211,7 +211,7 @@ def test_pixels_hidden_in_the_deformed_image_leave_m_too() -> None:
     counted = one.compute_residual(deformed, moved).sums.n_pixels
     assert 0 < seen.n_usable_pixels == counted < one.n_usable_pixels
     assert seen.compute_residual(deformed, moved).sums.n_pixels == counted
-    hidden = seen.raster.sum_by_cell(seen.reference.usable, seen.reference.window.x0, seen.reference.window.y0) == 0
+    hidden = seen.raster.sum_by_cell(seen.reference.usable, seen.reference.window) == 0
     assert hidden.any()
     assert (seen.compute_cell_hessians()[hidden] == 0).all()
     assert (one.compute_cell_hessians()[hidden] != 0).any()

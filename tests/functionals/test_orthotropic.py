@@ -19,8 +19,8 @@ from ddic.functionals.regularization import (
 from ddic.kinematics.nodal import NodalKinematics
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.rotation import build_rotation
 from ddic.mesh.quality import measure_areas
+from ddic.mesh.rotation import build_rotation
 from ddic.mesh.structured import build_structured_mesh
 from ddic.mesh.topology import find_boundary_nodes
 from support.random_meshes import Cells, grid_mesh, grid_meshes

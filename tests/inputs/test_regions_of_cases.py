@@ -12,6 +12,7 @@ import ddic
 from ddic.case.loader import load_case
 from ddic.check.case import check_case
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.inputs.mesh_source import build_meshes, is_plain_grid
 from ddic.mesh.structured import build_structured_mesh
 from support.cases import WAVES, write_case, write_images
@@ -49,7 +50,7 @@ def test_a_case_gives_the_mesh_of_the_python_interface(folder: Path) -> None:
     for text, region in ((POLYGON, np.array(VERTICES, float)), (CIRCLE, ((96.0, 90.0), 62.0))):
         case = load_case(write_case(folder, region=text + HOLES)).case
         assert not is_plain_grid(case)
-        mesh, _ = build_meshes(case, 192, 192)
+        mesh, _ = build_meshes(case, Window.of_size(192, 192))
         expected = build_structured_mesh(region, 16, circles=[((110.0, 66.0), 16.0)])
         np.testing.assert_array_equal(mesh.nodes, expected.nodes)
         np.testing.assert_array_equal(mesh.cells, expected.cells)
@@ -69,7 +70,7 @@ def test_unstructured_meshes_of_cases(folder: Path) -> None:
     report = check_case(load_case(path))
     assert set(report.cell_counts) == {"T3"}
     assert set(report.node_sets) == {"left", "right", "top", "bottom", "hole_0"}
-    mesh, _ = build_meshes(load_case(path).case, 192, 192)
+    mesh, _ = build_meshes(load_case(path).case, Window.of_size(192, 192))
     n_free = len(np.union1d(mesh.node_sets["top"], mesh.node_sets["hole_0"]))
     assert report.n_controlled_dofs == 2 * (mesh.n_nodes - n_free)
 

@@ -6,13 +6,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ddic.mesh.cell_type import CELL_TYPES, N_MONOMIALS, Q4, T3, CellType
+from ddic.mesh.cell_type import CELL_TYPES, EXPONENTS, HEX8, Q4, T3, TET4, CellType
 from ddic.mesh.mesh import build_mesh, compute_shape_gradients
-from ddic.mesh.quality import measure_areas
+from ddic.mesh.quality import list_corner_edges, measure_areas
 
 EVERY = pytest.mark.parametrize("kind", CELL_TYPES.values(), ids=lambda kind: kind.name)
 
-AFFINE = np.array([[7.0, 2.0], [-3.0, 9.0]])
+PLANE = pytest.mark.parametrize("kind", (T3, Q4), ids=lambda kind: kind.name)
+IN_SPACE = pytest.mark.parametrize("kind", (TET4, HEX8), ids=lambda kind: kind.name)
+
+AFFINE = np.array([[7.0, 2.0, 1.0], [-3.0, 9.0, 2.0], [1.0, -2.0, 6.0]])
+
+
+SIMPLICES = {
+    "T3": T3.triangles,
+    "Q4": Q4.triangles,
+    "Tet4": ((0, 1, 2, 3),),
+    # About the diagonal from node 0 to node 6.
+    "Hex8": tuple((0, a, b, 6) for a, b in ((1, 2), (2, 3), (3, 7), (7, 4), (4, 5), (5, 1))),
+}
+"""Nodes of the simplices that together are each cell."""
 
 
 def reference_area(kind: CellType) -> float:
@@ -20,15 +33,16 @@ def reference_area(kind: CellType) -> float:
 
 
 def test_registered_by_their_numbers() -> None:
-    assert dict(CELL_TYPES) == {5: T3, 9: Q4}
+    assert dict(CELL_TYPES) == {5: T3, 9: Q4, 10: TET4, 12: HEX8}
     for attribute in ("name", "meshio_name"):
         assert len({getattr(kind, attribute) for kind in CELL_TYPES.values()}) == len(CELL_TYPES)
 
 
 @EVERY
 def test_sizes(kind: CellType) -> None:
-    assert kind.shapes.shape == (kind.n_nodes, N_MONOMIALS)
-    assert kind.n_nodes <= N_MONOMIALS
+    # The first monomials, as many as nodes; triangles do not use their fourth.
+    assert kind.shapes.shape == (kind.n_nodes, max(kind.n_nodes, 4))
+    assert kind.n_nodes <= len(EXPONENTS[kind.dim])
     assert kind.quadrature.points.shape == (len(kind.quadrature.weights), kind.dim)
     assert kind.centre.shape == (kind.dim,)
 
@@ -65,27 +79,31 @@ def test_weights_sum_to_the_area_and_points_lie_about_the_centre(kind: CellType)
 
 @EVERY
 def test_stiffness_of_an_affine_cell_is_integrated_exactly(kind: CellType) -> None:
-    """Against Gauss's rule of four points a side, collapsed onto the triangles that the cell is cut into."""
-    mesh = build_mesh(kind.nodes @ AFFINE.T, {kind: np.arange(kind.n_nodes)[None]})
+    """Against Gauss's rule of four points a side, collapsed onto simplices that together are the cell."""
+    mesh = build_mesh(kind.nodes @ AFFINE[:kind.dim, :kind.dim].T, {kind: np.arange(kind.n_nodes)[None]})
 
     def integrate(points: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
         gradients, det = compute_shape_gradients(mesh, mesh.cell_blocks[0], points)
         return np.asarray(np.einsum("paj,pbk,p->ajbk", gradients[0], gradients[0], det[0] * weights))
 
     x, w = np.polynomial.legendre.leggauss(4)
-    s, t = (grid.ravel() for grid in np.meshgrid((x + 1) / 2, (x + 1) / 2))
-    barycentric = np.stack([1 - s, s * (1 - t), s * t], axis=1)
-    on_triangle = np.outer(w / 2, w / 2).ravel() * s
+    s, t, r = (grid.ravel() for grid in np.meshgrid(*[(x + 1) / 2] * 3, indexing="ij"))
+    weights = np.einsum("i,j,k->ijk", *[w / 2] * 3).ravel()
+    # A cube is shrunk to an edge at s = 0; in the plane r says nothing.
+    if kind.dim == 2:
+        barycentric, weights = np.stack([1 - s, s * (1 - t), s * t], axis=1), weights * s
+    else:
+        barycentric = np.stack([1 - s, s * (1 - t), s * t * (1 - r), s * t * r], axis=1)
+        weights = weights * s**2 * t
     expected = np.zeros((kind.n_nodes, kind.dim) * 2)
-    for corners in kind.triangles:
+    for corners in SIMPLICES[kind.name]:
         ends = kind.nodes[list(corners)]
-        twice_area = np.linalg.det(ends[1:] - ends[0])
-        expected += integrate(barycentric @ ends, twice_area * on_triangle)
+        expected += integrate(barycentric @ ends, np.linalg.det(ends[1:] - ends[0]) * weights)
     # Rounding of sums of some thirty terms of order one.
     np.testing.assert_allclose(integrate(kind.quadrature.points, kind.quadrature.weights), expected, atol=1e-14)
 
 
-@EVERY
+@PLANE
 def test_edges_close_around_the_cell(kind: CellType) -> None:
     starts, ends = np.array(kind.facets).T
     assert starts.tolist() == list(range(kind.n_nodes))
@@ -94,14 +112,42 @@ def test_edges_close_around_the_cell(kind: CellType) -> None:
     assert reference_area(kind) > 0
 
 
-@EVERY
+@PLANE
 def test_triangles_cover_the_cell(kind: CellType) -> None:
     triangles = build_mesh(kind.nodes, {T3: np.array(kind.triangles)})
     assert measure_areas(triangles).min() > 0
     assert measure_areas(triangles).sum() == pytest.approx(reference_area(kind), rel=1e-15)
 
 
+@IN_SPACE
+def test_faces_close_around_the_cell_and_look_outwards(kind: CellType) -> None:
+    """Each edge of a face is one of a single other face, which runs through it the other way round."""
+    edges = [(a, b) for face in kind.facets for a, b in zip(face, np.roll(face, -1).tolist(), strict=True)]
+    assert sorted(edges) == sorted((b, a) for a, b in edges)
+    for face in kind.facets:
+        corners = kind.nodes[list(face)]
+        assert np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ (corners.mean(axis=0) - kind.centre) > 0
+
+
 @EVERY
+def test_edges_at_corners_are_positive(kind: CellType) -> None:
+    edges = list_corner_edges(build_mesh(kind.nodes, {kind: np.arange(kind.n_nodes)[None]}), kind.nodes)
+    assert np.linalg.det(edges).min() > 0
+
+
+@EVERY
+def test_a_mirrored_cell_is_turned_inside_out(kind: CellType) -> None:
+    """Its nodes in the order ``mirrored`` are again a positive cell, with the same facets."""
+    mirror = kind.nodes * np.array([-1.0, 1.0, 1.0])[:kind.dim]
+    cells = np.array([kind.mirrored, range(kind.n_nodes)])
+    of_mirrored, of_plain = measure_areas(build_mesh(mirror, {kind: cells}))
+    assert of_mirrored == pytest.approx(reference_area(kind), rel=1e-15)
+    assert of_plain == pytest.approx(-of_mirrored, rel=1e-15)
+    turned = {frozenset(kind.mirrored[node] for node in facet) for facet in kind.facets}
+    assert turned == {frozenset(facet) for facet in kind.facets}
+
+
+@PLANE
 def test_nodes_and_cells_of_a_regular_mesh(kind: CellType) -> None:
     """Angles around an inner node make a full turn: n corners share (n - 2) pi."""
     mean_angle = np.pi * (kind.n_nodes - 2) / kind.n_nodes

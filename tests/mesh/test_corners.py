@@ -18,4 +18,4 @@ def test_corners_know_the_nodes_beside_them() -> None:
         nodes = [node for node in MESH.cells[number].tolist() if node >= 0]
         expected += [(number, nodes[k], nodes[(k + 1) % len(nodes)], nodes[k - 1]) for k in range(len(nodes))]
     found = list_corners(MESH)
-    assert list(zip(found.cells, found.nodes, found.ahead, found.behind, strict=True)) == expected
+    assert list(zip(found.cells, found.nodes, *found.ends.T, strict=True)) == expected

@@ -32,4 +32,5 @@ def test_a_rotation_is_undone_by_its_inverse() -> None:
 
 def test_normals_are_turned_by_a_quarter() -> None:
     vectors = np.random.default_rng(3).normal(size=(20, 2))
-    np.testing.assert_allclose(compute_normals(vectors), Rotation(np.array([np.pi / 2])).apply(vectors), atol=10 * ROUNDING)
+    quarter = Rotation(np.array([np.pi / 2]))
+    np.testing.assert_allclose(compute_normals(vectors), quarter.apply(vectors), atol=10 * ROUNDING)

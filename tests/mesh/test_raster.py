@@ -133,8 +133,9 @@ def test_masks_of_a_partition_add_up_to_the_mask_of_the_whole(mesh: Mesh, kind: 
     parts = random_partition(mesh, kind, n, seed)
     total = np.zeros((height, width), dtype=int)
     for s in range(int(parts.max()) + 1):
-        total += rasterize(mesh.create_submesh(np.flatnonzero(parts == s))[0]).find_covered(width, height)
-    np.testing.assert_array_equal(total, rasterize(mesh).find_covered(width, height))
+        part, _ = mesh.create_submesh(np.flatnonzero(parts == s))
+        total += rasterize(part).find_covered(Window.of_size(width, height))
+    np.testing.assert_array_equal(total, rasterize(mesh).find_covered(Window.of_size(width, height)))
 
 
 def test_half_open_square_takes_its_left_and_top_edges() -> None:
@@ -165,14 +166,14 @@ def test_counts_in_a_window_of_an_image(mesh: Mesh, seed: int) -> None:
     raster = rasterize(mesh)
     expected = [sum(int(image[y - y0, x - x0]) for x, y in pixels if x0 <= x < x0 + 23 and y0 <= y < y0 + 15)
                 for pixels in pixels_of(raster)]
-    assert raster.sum_by_cell(image, x0, y0).tolist() == expected
+    assert raster.sum_by_cell(image, Window.between([x0, y0], np.add([x0, y0], image.shape[::-1]))).tolist() == expected
 
 
 def test_coverage_is_clipped_to_the_image() -> None:
     raster = rasterize(grid_mesh(2, 2, (10.0, 10.0), origin=(-5.0, -5.0)))
     expected = np.zeros((8, 20), dtype=np.uint8)
     expected[:, :15] = 1
-    np.testing.assert_array_equal(raster.find_covered(20, 8), expected)
+    np.testing.assert_array_equal(raster.find_covered(Window.of_size(20, 8)), expected)
 
 
 @settings(max_examples=50)
@@ -192,14 +193,15 @@ def test_cells_are_drawn_and_summed_by_their_pixels(mesh: Mesh, seed: int) -> No
     np.testing.assert_array_equal(raster.draw_cells(cells, window), expected)
     image = random.uniform(-100, 100, expected.shape).astype(np.float32)
     sums = [sum(float(image[y - window.y0, x - window.x0]) for x, y in of_cell) for of_cell in pixels]
-    found = raster.sum_by_cell(image, window.x0, window.y0)
+    found = raster.sum_by_cell(image, window)
     assert found.dtype == np.float64
     # Differences of sums along rows and over cells, some 1e5 grey levels large.
     np.testing.assert_allclose(found, sums, atol=1e-8)
     inner = window.x0 + 2
     cut = [sum(float(image[y - window.y0, x - window.x0]) for x, y in of_cell if x >= inner) for of_cell in pixels]
     if window.width > 2:
-        np.testing.assert_allclose(raster.sum_by_cell(image[:, 2:], inner, window.y0), cut, atol=1e-8)
+        seen = Window((inner, window.y0), window.upper)
+        np.testing.assert_allclose(raster.sum_by_cell(image[:, 2:], seen), cut, atol=1e-8)
 
 
 def test_pixels_are_counted_once() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.mesh.cell_type import Q4, T3
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.quality import measure_areas, measure_shape_quality
@@ -111,13 +112,13 @@ def test_quality_of_mixed_cells() -> None:
 
 
 def test_first_and_last_half_pixels_belong_to_the_image() -> None:
-    check_inside(build_structured_mesh((-0.5, -0.5, 99.5, 49.5), 10), 100, 50)
+    check_inside(build_structured_mesh((-0.5, -0.5, 99.5, 49.5), 10), Window.of_size(100, 50))
 
 
 @pytest.mark.parametrize("region", [(0, 0, 100, 49), (-1, 0, 90, 40), (0, -1, 90, 40), (0, 0, 90, 50)])
 def test_mesh_outside_the_image_is_refused(region: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match=r"outside the image.*image 100x50 px"):
-        check_inside(build_structured_mesh(region, 10), 100, 50)
+        check_inside(build_structured_mesh(region, 10), Window.of_size(100, 50))
 
 
 def test_cells_without_pixels_are_refused_by_number() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 
 from ddic.mesh.cell_type import T3, differentiate_monomials, evaluate_monomials
@@ -11,11 +12,11 @@ from ddic.mesh.quality import measure_areas
 from support.random_meshes import grid_mesh, grid_meshes
 
 
-def test_gradients_of_monomials_equal_differences() -> None:
-    local = np.random.default_rng(0).uniform(-1, 1, (20, 2))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_gradients_of_monomials_equal_differences(dim: int) -> None:
+    local = np.random.default_rng(0).uniform(-1, 1, (20, dim))
     h = 0.5  # exact for bilinear functions
-    for axis in range(2):
-        step = h * np.eye(2)[axis]
+    for axis, step in enumerate(h * np.eye(dim)):
         difference = (evaluate_monomials(local + step) - evaluate_monomials(local - step)) / (2 * h)
         np.testing.assert_allclose(differentiate_monomials(local)[..., axis], difference, atol=1e-15)
 
@@ -51,6 +52,6 @@ def test_padding_of_triangles_adds_nothing() -> None:
     assert triangles.any()
     assert not triangles.all()
     assert (pad_cells(mesh)[triangles, 3] == pad_cells(mesh)[triangles, 0]).all()
-    assert (pad_shapes(T3)[3] == 0).all()
+    assert (pad_shapes(T3, 4)[3] == 0).all()
     assert (compute_geometry(mesh)[triangles, :, 3] == 0).all()
     assert pad_cells(grid_mesh(1, 1, (3.0, 3.0), cells="T3")).shape == (2, 4)

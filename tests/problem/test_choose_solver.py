@@ -39,7 +39,7 @@ def choose(folder: Path, solver: str = "", more: str = "", n_ranks: int = 2, mem
     case = load_case(write_case(folder, f"[solver]\n{solver}\n{more}")).case
     cameras = open_cameras(case, open_image)
     image = cameras[0].reference.image
-    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height), **changes)
+    inputs = Inputs(case, cameras, lambda: build_meshes(case, image.extent), **changes)
     return weigh_candidates(inputs, build_region_mesh(inputs).measure_sizes(), n_ranks, memory)
 
 

@@ -37,7 +37,8 @@ def number_of_cells(blocks: list[GridBlock], n_columns: int, n_rows: int) -> np.
     """Subdomain of each cell, and -1 where none or several have it."""
     owners = np.zeros((n_rows, n_columns), np.int64) - 1
     for number, block in enumerate(blocks):
-        inside = owners[block.rows.start:block.rows.stop, block.columns.start:block.columns.stop]
+        columns, rows = block.ranges
+        inside = owners[rows.start:rows.stop, columns.start:columns.stop]
         assert (inside == -1).all()
         inside[...] = number
     return owners.ravel()
@@ -46,7 +47,7 @@ def number_of_cells(blocks: list[GridBlock], n_columns: int, n_rows: int) -> np.
 @given(sides=SIDES, share=st.floats(0.0, 1.0))
 def test_rectangles_cover_the_grid_once_and_are_as_many_as_asked_for(sides: tuple[int, int], share: float) -> None:
     n_columns, n_rows = sides
-    grid = GridLines(np.arange(n_columns + 1.0), np.arange(n_rows + 1.0))
+    grid = GridLines((np.arange(n_columns + 1.0), np.arange(n_rows + 1.0)))
     n = max(1, round(share * grid.n_cells))
     blocks = split_grid(grid, n)
     owners = number_of_cells(blocks, n_columns, n_rows)
@@ -55,7 +56,7 @@ def test_rectangles_cover_the_grid_once_and_are_as_many_as_asked_for(sides: tupl
 
 @pytest.mark.parametrize("n", [2, 3, 7, 16, 63, 64])
 def test_rectangles_are_of_about_equal_size(n: int) -> None:
-    blocks = split_grid(GridLines(np.arange(161.0), np.arange(121.0)), n)
+    blocks = split_grid(GridLines((np.arange(161.0), np.arange(121.0))), n)
     cells = np.array([block.n_cells for block in blocks])
     # Sides of 12 cells and more are cut to half a cell: 1 / 24 along each of both.
     assert np.abs(cells / cells.mean() - 1).max() <= 2 / 24

@@ -34,7 +34,7 @@ def inputs_of(path: Path) -> Inputs:
     case = load_case(path).case
     cameras = open_cameras(case, open_image)
     image = cameras[0].reference.image
-    return Inputs(case, cameras, lambda: build_meshes(case, image.width, image.height))
+    return Inputs(case, cameras, lambda: build_meshes(case, image.extent))
 
 
 def region_mesh_of(folder: Path, more: str = "") -> RegionMesh:

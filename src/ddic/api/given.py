@@ -315,7 +315,7 @@ def _used_pixels(image: Image, source: ImageSource, name: str) -> BoolArray | No
 
 def _read_given_mask(mask: NDArray[Any] | str | Path, image: ImageSource, name: str) -> BoolArray:
     if isinstance(mask, str | Path):
-        return read_mask(Path(mask), image.width, image.height)
+        return read_mask(Path(mask), image.extent)
     values = _convert_to_pixels(mask, f"{name}'s mask")
     if values.shape != (image.height, image.width):
         raise InputError(f"{name}: its mask has shape {values.shape}, the image ({image.height}, {image.width}); "
@@ -412,7 +412,7 @@ def _convert_start(given: Any, reference: MaskedSource) -> GivenStart:
     if points.shape != displacement.shape:
         raise InputError(f"start: {len(points)} points and {len(displacement)} displacements; give one of each point")
     converted = StartPoints(points, displacement, "start")
-    check_start_points(converted, reference.image.width, reference.image.height)
+    check_start_points(converted, reference.image.extent)
     return converted
 
 

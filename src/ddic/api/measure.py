@@ -355,9 +355,8 @@ def _prepare(team: Team, source: Any, given: Arguments, n_frames: int, progress:
 
     def build() -> tuple[Mesh, Tying | None]:
         if mesh is None:
-            return loaded.kept_mesh.take(loaded.case) or build_meshes(loaded.case, reference.image.width,
-                                                                      reference.image.height)
-        whole = accept_mesh(mesh, "mesh", reference.image.width, reference.image.height)
+            return loaded.kept_mesh.take(loaded.case) or build_meshes(loaded.case, reference.image.extent)
+        whole = accept_mesh(mesh, "mesh", reference.image.extent)
         check_mesh(loaded, whole, team.size)
         return whole, None
 

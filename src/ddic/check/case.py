@@ -183,7 +183,7 @@ def build_checked_mesh(loaded: LoadedCase, image: ImageSource) -> Mesh | GridLin
         return kept[0]
     if find_method_section(loaded.case) is None and is_plain_grid(loaded.case):
         return build_plain_grid(loaded.case)
-    mesh: Mesh = find_method(loaded.case).build_result_mesh(loaded.case, image.width, image.height)
+    mesh: Mesh = find_method(loaded.case).build_result_mesh(loaded.case, image.extent)
     return mesh
 
 
@@ -193,7 +193,7 @@ def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridL
     case = loaded.case
     if isinstance(mesh, GridLines):
         cell_size = mesh.cell_size
-        rows = (GridLines(mesh.x, mesh.y[k:k + 2]) for k in range(len(mesh.y) - 1))
+        rows = (GridLines((mesh.x, mesh.y[k:k + 2])) for k in range(len(mesh.y) - 1))
         n_bare = sum(int(pattern.find_bare(row.centroids).sum()) for row in rows)
     else:
         cell_size = measure_cell_size(mesh)
@@ -251,7 +251,7 @@ def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, probl
     with problems.gathered(None if loaded.case.start.points is None else loaded.path):
         points = load_start_points(loaded.case.start)
         if points is not None and reference is not None:
-            check_start_points(points, reference.width, reference.height)
+            check_start_points(points, reference.extent)
         return points
     return None
 
@@ -299,7 +299,7 @@ def _build_mesh(loaded: LoadedCase, reference: ImageSource | None, problems: Pro
     mesh, tying = None, None
     if reference is not None:
         with problems.gathered():
-            mesh, tying = build_meshes(case, reference.width, reference.height)
+            mesh, tying = build_meshes(case, reference.extent)
     if mesh is None:
         # What is wrong with it, or with the image that it lies in, was said above.
         try:
@@ -373,7 +373,7 @@ def _check_on_grid(loaded: LoadedCase, reference: ImageSource, points: StartPoin
         grid = build_plain_grid(case)
         outline, n_inner = grid.build_outline(), (len(grid.x) - 2) * (len(grid.y) - 2)
         with problems.gathered():
-            accept_mesh(outline, case.mesh.name, reference.width, reference.height, is_built_in=True)
+            accept_mesh(outline, case.mesh.name, reference.extent, is_built_in=True)
         if points is not None:
             with problems.gathered(None if case.start.points is None else loaded.path):
                 require_points_inside(points, outline)

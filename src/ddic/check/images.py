@@ -121,7 +121,7 @@ def _check_image(path: Path, mask_path: Path | None, problems: Problems, shapes:
     if source is None:
         return None
     with problems.gathered():
-        below = None if mask_path is None else open_mask(mask_path, source.width, source.height)
+        below = None if mask_path is None else open_mask(mask_path, source.extent)
         mask = draw_mask(shapes, source.extent, name, below)
         n_used = source.extent.n_pixels if mask is None else count_used(mask)
         if _is_too_few(n_used, source.extent.n_pixels):
@@ -182,7 +182,7 @@ def _bound(points: Array) -> Window:
 def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
     """Pixels of a window that lie in the mesh and count."""
     counted = exclude_from_reference(reference, case.images, hold_image).find_usable(window)
-    covered = rasterize(mesh).find_covered(reference.width, reference.height)[window.y0:window.y1, window.x0:window.x1]
+    covered = rasterize(mesh).find_covered(reference.extent)[window.y0:window.y1, window.x0:window.x1]
     return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
 
 

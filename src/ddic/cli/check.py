@@ -71,7 +71,7 @@ def _draw(case: Case, drawing: Path) -> None:
     from ddic.problem.region_mesh import list_discontinuities
 
     reference = open_image(case.images.reference)
-    mesh = find_method(case).build_result_mesh(case, reference.width, reference.height)
+    mesh = find_method(case).build_result_mesh(case, reference.extent)
     figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
     save_figure(figure, drawing)
 

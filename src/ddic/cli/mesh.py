@@ -27,7 +27,7 @@ def mesh(case_file: Path, output: Path) -> None:
         loaded = load_case(case_file)
         require_own_output(output, MESH, loaded.list_inputs())
         image = open_image(loaded.case.images.reference)
-        built, tying = build_meshes(loaded.case, image.width, image.height)
+        built, tying = build_meshes(loaded.case, image.extent)
         if tying is not None:
             raise InputError(f"{case_file}: near.mesh: meshes that do not match are not one that mesh.file could read; "
                              "leave near.mesh out")

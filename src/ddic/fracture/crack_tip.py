@@ -19,7 +19,7 @@ from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.quality import measure_areas
 
 
-def find_kolosov_constant(poisson_ratio: float, plane: str) -> float:
+def find_kolosov_constant(poisson_ratio: float, plane: str | None) -> float:
     """Find Kolosov's constant kappa: (3 - nu) / (1 + nu) in plane "stress", 3 - 4 nu in plane "strain"."""
     return (3 - poisson_ratio) / (1 + poisson_ratio) if plane == "stress" else 3 - 4 * poisson_ratio
 

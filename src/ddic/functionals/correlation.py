@@ -300,7 +300,7 @@ class Correlation:
     def count_pixels(self) -> IntArray:
         """Count the pixels of each cell that the reference image does not exclude, (n_cells,)."""
         window, usable = self.reference.window, self.reference.usable
-        return self.raster.pixel_counts if usable is None else self.raster.sum_by_cell(usable, window.x0, window.y0)
+        return self.raster.pixel_counts if usable is None else self.raster.sum_by_cell(usable, window)
 
     @property
     def n_usable_pixels(self) -> int:
@@ -481,7 +481,7 @@ class Correlation:
     def _count_pixels(self, usable: NDArray[np.uint8]) -> int:
         """Number of the cells' pixels that are 1 in an image of the reference window's shape."""
         window = self.reference.window
-        return int(self.raster.sum_by_cell(usable, window.x0, window.y0).sum())
+        return int(self.raster.sum_by_cell(usable, window).sum())
 
     @property
     def _kernels(self) -> PixelKernels:

@@ -82,7 +82,7 @@ def _estimate_noise_variance(correlation: Correlation) -> float:
         return 0.0
     squares = _squared_details(f, rows)
     # Runs of the cells' pixels on those rows; the window's outermost pixels have no detail.
-    run = raster.rows - f.window.y0 - 1
+    run = raster.rows[:, 0] - f.window.y0 - 1
     kept = np.flatnonzero((run >= 0) & (run < height - 2) & (run % step == 0))
     starts = np.clip(raster.starts[kept] - f.window.x0 - 1, 0, width - 2)
     stops = np.clip(raster.stops[kept] - f.window.x0 - 1, 0, width - 2)

@@ -7,11 +7,9 @@ computed in, and all three passes are the same sum at another stride.
 # mypy: disable-error-code="no-untyped-def"
 
 import math
-from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.vectors import WIDTH, load, splat, store
 

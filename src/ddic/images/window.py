@@ -86,6 +86,10 @@ class Window:
         left, top, right, bottom = self.x0, self.y0, self.x1 - 1, self.y1 - 1
         return np.array([[left, top], [right, top], [left, bottom], [right, bottom]], dtype=np.float64)
 
+    def describe(self) -> str:
+        """Say how large it is: columns x rows."""
+        return " x ".join(map(str, self.sizes))
+
     @property
     def n_pixels(self) -> int:
         """Number of pixels."""
@@ -116,7 +120,7 @@ class Window:
     def locate_inside(self, part: Window) -> tuple[slice, ...]:
         """Find a part of an image of this extent; raises ValueError where it leaves the image or is empty."""
         if part.n_pixels == 0 or not self.contains(part):
-            raise ValueError(f"{part} is empty or leaves the image of {' x '.join(map(str, self.sizes))} pixels")
+            raise ValueError(f"{part} is empty or leaves the image of {self.describe()} pixels")
         return self.locate(part)
 
     def contains(self, other: Window) -> bool:

@@ -15,6 +15,7 @@ from ddic.case.named_files import choose_frame, list_cameras, list_deformed
 from ddic.case.schema import Case, StartSection
 from ddic.errors import DdicError, InputError, as_collective, is_collective
 from ddic.images.source import ImageSource
+from ddic.images.window import Window
 from ddic.inputs.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
 from ddic.inputs.mesh_source import build_meshes
 from ddic.io.input_file import FileStamps
@@ -92,7 +93,7 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
     opener = open_on_all_ranks(team)
     cameras = open_cameras(case, opener)
     image = cameras[0].reference.image
-    inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.width, image.height),
+    inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.extent),
                     case_path=loaded.path, case_text=loaded.text,
                     n_frames=len(list_deformed(case.images)))
     return inputs, open_frame(case, opener, number)
@@ -209,11 +210,11 @@ class UpdatedReference:
     first_image: ImageSource
     build_first_mesh: Callable[[], tuple[Mesh, Tying | None]]
 
-    def build_moved_mesh(self, width: int, height: int) -> Mesh:
+    def build_moved_mesh(self, extent: Window) -> Mesh:
         """Build the mesh where the frame shows it; on rank 0. Raises InputError where it has left the image."""
         mesh, _ = self.build_first_mesh()
         moved = replace(mesh, nodes=mesh.nodes + self.displacement)
-        check_inside(moved, width, height)
+        check_inside(moved, extent)
         return moved
 
     def place_first(self, subdomain: Subdomain) -> Subdomain:
@@ -265,24 +266,24 @@ def load_start_points(section: StartSection) -> StartPoints | None:
     return None
 
 
-def check_start_points(given: StartPoints, width: int, height: int) -> None:
+def check_start_points(given: StartPoints, extent: Window) -> None:
     """Raise InputError for the first point outside the reference image, or moved by more than its diagonal."""
     is_finite = np.isfinite(given.points).all(axis=1) & np.isfinite(given.displacement).all(axis=1)
     if not is_finite.all():
         number = int(np.flatnonzero(~is_finite)[0])
         raise InputError(f"{given.describe_point(number)}: holds a value that is not finite; leave the point out")
-    edge = np.array([width, height]) - 0.5
+    edge = np.array(extent.sizes) - 0.5
     is_inside = (given.points >= -0.5).all(axis=1) & (given.points <= edge).all(axis=1)
     if not is_inside.all():
         number = int(np.flatnonzero(~is_inside)[0])
-        x, y = given.points[number]
-        raise InputError(f"{given.describe_point(number)}: ({x:g}, {y:g}) lies outside the reference image of "
-                         f"{width} x {height} px; give x (column) and y (row) in pixels")
-    lengths = np.hypot(*given.displacement.T)
+        place = ", ".join(f"{coordinate:g}" for coordinate in given.points[number])
+        raise InputError(f"{given.describe_point(number)}: ({place}) lies outside the reference image of "
+                         f"{extent.describe()} px; give x (column) and y (row) in pixels")
+    lengths = np.linalg.norm(given.displacement, axis=1)
     farthest = int(lengths.argmax())
-    if lengths[farthest] > np.hypot(width, height):
+    if lengths[farthest] > np.linalg.norm(extent.sizes):
         raise InputError(f"{given.describe_point(farthest)}: moves by {lengths[farthest]:g} px, out of the image of "
-                         f"{width} x {height} px; give displacements in pixels")
+                         f"{extent.describe()} px; give displacements in pixels")
 
 
 def require_points_inside(given: StartPoints, mesh: Mesh) -> None:

@@ -15,6 +15,7 @@ from ddic.case.schema import (
     UnstructuredSection,
 )
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.io.image_file import read_mask
 from ddic.io.mesh_file import read_mesh
 from ddic.mesh.grid import GridLines
@@ -45,18 +46,18 @@ NO_INNER_NODE = ("the mesh has no interior node, so no wavelength can be given a
 """What is said of a mesh all of whose nodes lie on its boundary."""
 
 
-def build_meshes(case: Case, width: int, height: int) -> tuple[Mesh, Tying | None]:
+def build_meshes(case: Case, extent: Window) -> tuple[Mesh, Tying | None]:
     """Build the case's mesh with the near fields' own meshes in it, tied to what is left of the far elements.
 
     Paths of the case are absolute, sizes and nodes in far-field pixels; the mesh lies in the image and is fit for
     measuring. There is no tying where no near field has a mesh of its own. Raises InputError, with the mesh's file or
     section named, on all that ``read_mesh``, ``build_structured_mesh``, ``accept_mesh`` and ``tie_meshes`` refuse.
     """
-    far = _build_mesh(case.mesh, case.mesh.name, width, height)
+    far = _build_mesh(case.mesh, case.mesh.name, extent)
     near = {}
     for number, section in enumerate(case.near, start=1):
         if section.mesh is not None:
-            near[number] = _build_mesh(section.mesh, f"near, entry {number}: {section.mesh.name}", width, height)
+            near[number] = _build_mesh(section.mesh, f"near, entry {number}: {section.mesh.name}", extent)
     if not near:
         return far, None
     return tie_meshes(far, near)
@@ -87,15 +88,15 @@ def build_mesh_anywhere(case: Case) -> Mesh:
     """
     if case.mesh.structured is not None and case.mesh.structured.mask is not None:
         raise InputError("mesh.structured.mask: its image cannot be read")
-    return repair(_raw_mesh(case.mesh, 0, 0))
+    return repair(_raw_mesh(case.mesh, Window.of_size(0, 0)))
 
 
-def _build_mesh(section: MeshSection, name: str, width: int, height: int) -> Mesh:
-    raw = _raw_mesh(section, width, height)
-    return accept_mesh(raw, name, width, height, is_built_in=section.structured is not None)
+def _build_mesh(section: MeshSection, name: str, extent: Window) -> Mesh:
+    raw = _raw_mesh(section, extent)
+    return accept_mesh(raw, name, extent, is_built_in=section.structured is not None)
 
 
-def accept_mesh(raw: Mesh, name: str, width: int, height: int, *, is_built_in: bool = False) -> Mesh:
+def accept_mesh(raw: Mesh, name: str, extent: Window, *, is_built_in: bool = False) -> Mesh:
     """Repair a mesh and check that it lies in the image and its cells, unless they are built in, meet side to side.
 
     ``name`` is what messages call it. Raises InputError on all that ``repair``, ``check_inside`` and ``check_joints``
@@ -103,7 +104,7 @@ def accept_mesh(raw: Mesh, name: str, width: int, height: int, *, is_built_in: b
     """
     try:
         mesh = repair(raw)
-        check_inside(mesh, width, height)
+        check_inside(mesh, extent)
         if not is_built_in:
             check_joints(mesh)
     except InputError as error:
@@ -111,12 +112,12 @@ def accept_mesh(raw: Mesh, name: str, width: int, height: int, *, is_built_in: b
     return mesh
 
 
-def _raw_mesh(section: MeshSection, width: int, height: int) -> Mesh:
+def _raw_mesh(section: MeshSection, extent: Window) -> Mesh:
     if section.file is not None:
         return read_mesh(section.file, convert_mapping(section.mapping))
     if section.unstructured is not None:
         return _unstructured(section.unstructured)
-    return _structured(require_held(section.structured), width, height)
+    return _structured(require_held(section.structured), extent)
 
 
 def convert_mapping(section: MappingSection) -> Similarity:
@@ -145,9 +146,9 @@ def _check_size(section: MeshedSection, name: str, bytes_per_cell: int) -> None:
                          "larger elements, or a machine with more memory")
 
 
-def _structured(section: StructuredSection, width: int, height: int) -> Mesh:
+def _structured(section: StructuredSection, extent: Window) -> Mesh:
     _check_size(section, "mesh.structured", BYTES_PER_CELL)
-    mask = None if section.mask is None else read_mask(section.mask, width, height)
+    mask = None if section.mask is None else read_mask(section.mask, extent)
     outlined: list[OutlinedHole] = []
     if mask is not None and section.mask_outline == "snapped":
         outlined, mask = find_mask_holes(mask, section.box, section.element_size), None

@@ -263,20 +263,20 @@ def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
             warnings.warn(f"{path}: {message}", stacklevel=4)
 
 
-def read_mask(path: Path, width: int, height: int) -> BoolArray:
+def read_mask(path: Path, extent: Window) -> BoolArray:
     """Read a mask, (height, width): True where the image is not 0, which are the pixels to use.
 
-    ``width`` and ``height`` are those of the image that it belongs to. Raises InputError where the mask cannot be read
-    or has another size.
+    ``extent`` is the box of the image that it belongs to. Raises InputError where the mask cannot be read or has
+    another size.
     """
-    source = open_mask(path, width, height)
+    source = open_mask(path, extent)
     return np.asarray(source.read(source.extent) != 0)
 
 
-def open_mask(path: Path, width: int, height: int) -> ImageSource:
+def open_mask(path: Path, extent: Window) -> ImageSource:
     """Open the image of a mask; raises InputError as ``read_mask`` does."""
     source = hold_image(path)
-    if (source.width, source.height) != (width, height):
-        raise InputError(f"{path}: the mask is {source.width}x{source.height} px, but its image is "
-                         f"{width}x{height} px; give a mask of the image's size")
+    if source.extent != extent:
+        raise InputError(f"{path}: the mask is {source.extent.describe()} px, but its image is {extent.describe()} px; "
+                         "give a mask of the image's size")
     return source

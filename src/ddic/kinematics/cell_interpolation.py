@@ -57,8 +57,8 @@ class CellInterpolation:
     def take_to_corners(self, cells: IntArray, moments: Array) -> Array:
         """Take sums of some cells over pixels, of a vector times the monomials, to the corners of each.
 
-        From (n, dim, n_monomials) to sums over the cell's pixels of the vector times N_a, (n, n_monomials dim), node-major; zero
-        for nodes that a cell does not have.
+        From (n, dim, n_monomials) to sums over the cell's pixels of the vector times N_a, (n, n_monomials dim),
+        node-major; zero for nodes that a cell does not have.
         """
         of_corners = np.einsum("eam,eim->eai", self.shapes[self.kinds[cells]], moments)
         n, n_corners, dim = of_corners.shape
@@ -80,7 +80,7 @@ class CellInterpolation:
 
 
 def number_cell_dofs(mesh: Mesh) -> IntArray:
-    """Give the dofs of each cell's nodes, (n_cells, n_monomials dim), node-major; a cell of fewer nodes repeats its first's."""
+    """Give the dofs of each cell's nodes, (n_cells, n_monomials dim), node-major; where it lacks some, its first's."""
     return (pad_cells(mesh)[:, :, None] * mesh.dim + np.arange(mesh.dim)).reshape(mesh.n_cells, -1)
 
 
@@ -193,7 +193,7 @@ def _add_corner(matrix, a, to, dim, beside, first, data):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True)
 def _assemble(cells, corners, n_nodes, numbers_like):  # type: ignore[no-untyped-def]
-    """Data, column numbers and row pointers of the sum of cell matrices (n, n_monomials dim, n_monomials dim) between corners (n, 4)."""
+    """Data, column numbers and row pointers of the sum of cell matrices between their corners (n, n_monomials)."""
     dim = cells.shape[1] // corners.shape[1]
     cell_ptr, cells_of = _list_cells_of_nodes(corners, n_nodes)
     pair_ptr, neighbours = _find_neighbours(corners, cell_ptr, cells_of)

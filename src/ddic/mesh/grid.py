@@ -1,32 +1,36 @@
-"""A grid of rectangles, and meshes of parts of it, each made by whoever needs it."""
+"""A grid of rectangles, or of boxes in a volume, and meshes of parts of it, each made by whoever needs it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
 
 from ddic.arrays import Array, IntArray
-from ddic.mesh.cell_type import Q4
+from ddic.mesh.cell_type import HEX8, Q4, CellType
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.raster import SNAP
 
+SIDES = (("left", "right"), ("top", "bottom"), ("front", "back"))
+"""Names of the sides where x, y and z are smallest and largest; y points down."""
+
 
 class GridBlock(NamedTuple):
-    """Some rectangles of a grid that together are one.
+    """Some cells of a grid that together are a box.
 
     Attributes
     ----------
-    columns, rows : range
-        Columns and rows of rectangles.
+    ranges : tuple of range
+        Columns, rows and planes of cells.
     """
 
-    columns: range
-    rows: range
+    ranges: tuple[range, ...]
 
     @property
     def n_cells(self) -> int:
-        """Number of rectangles."""
-        return len(self.columns) * len(self.rows)
+        """Number of cells."""
+        return prod(map(len, self.ranges))
 
 
 class GridPart(NamedTuple):
@@ -51,90 +55,120 @@ class GridLines:
 
     Attributes
     ----------
-    x, y : (n_columns + 1,) and (n_rows + 1,) array
-        Of the vertical and of the horizontal lines, pixels.
+    lines : tuple of (n + 1,) array
+        Where n cells along x, along y and along z begin and end, pixels.
     """
 
-    x: Array
-    y: Array
+    lines: tuple[Array, ...]
+
+    @property
+    def x(self) -> Array:
+        """Of the lines across x, (n_columns + 1,), pixels."""
+        return self.lines[0]
+
+    @property
+    def y(self) -> Array:
+        """Of the lines across y, (n_rows + 1,), pixels."""
+        return self.lines[1]
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return len(self.lines)
+
+    @property
+    def cell_type(self) -> CellType:
+        """Of its cells."""
+        return Q4 if self.dim == 2 else HEX8
+
+    @property
+    def n_along(self) -> tuple[int, ...]:
+        """Number of cells along each axis."""
+        return tuple(len(line) - 1 for line in self.lines)
 
     @property
     def n_cells(self) -> int:
-        """Number of rectangles."""
-        return (len(self.x) - 1) * (len(self.y) - 1)
+        """Number of cells."""
+        return prod(self.n_along)
 
     @property
     def n_nodes(self) -> int:
         """Number of crossings."""
-        return len(self.x) * len(self.y)
+        return prod(map(len, self.lines))
 
     @property
-    def box(self) -> tuple[float, float, float, float]:
-        """Where it lies: x0, y0, x1, y1, pixels."""
-        return float(self.x[0]), float(self.y[0]), float(self.x[-1]), float(self.y[-1])
+    def box(self) -> tuple[float, ...]:
+        """Where it lies: its lowest corner, then its highest, pixels."""
+        return *(float(line[0]) for line in self.lines), *(float(line[-1]) for line in self.lines)
 
     @property
     def nodes(self) -> Array:
-        """Crossings of the lines, row by row, ((n_rows + 1) (n_columns + 1), 2), pixels."""
-        x, y = np.meshgrid(self.x, self.y)
-        return np.column_stack([x.ravel(), y.ravel()])
+        """Crossings of the lines, row by row, (n_nodes, dim), pixels."""
+        # The last axis varies slowest.
+        return np.column_stack([along.ravel() for along in np.meshgrid(*self.lines[::-1], indexing="ij")[::-1]])
 
     @property
-    def quads(self) -> IntArray:
-        """Nodes of the rectangles, row by row, (n_rows n_columns, 4)."""
-        wide = len(self.x)
-        rows, columns = np.meshgrid(np.arange(len(self.y) - 1), np.arange(wide - 1), indexing="ij")
-        first = (rows * wide + columns).ravel()
-        return np.column_stack([first, first + 1, first + wide + 1, first + wide]).astype(np.int64)
+    def cells(self) -> IntArray:
+        """Nodes of the cells, row by row, (n_cells, n_nodes of a cell)."""
+        steps = np.cumprod([1, *map(len, self.lines[:-1])])
+        first = _number([range(n) for n in self.n_along], list(map(len, self.lines)))
+        # Reference nodes have coordinates -1 and 1.
+        to_corners = (self.cell_type.nodes > 0) @ steps
+        return np.asarray(first[:, None] + to_corners, dtype=np.int64)
 
     @property
     def centroids(self) -> Array:
-        """Centres of the rectangles, row by row, (n_rows n_columns, 2), pixels."""
-        between_x = (self.x[1:] + self.x[:-1]) / 2
-        between_y = (self.y[1:] + self.y[:-1]) / 2
-        return GridLines(between_x, between_y).nodes
+        """Centres of the cells, row by row, (n_cells, dim), pixels."""
+        return GridLines(tuple((line[1:] + line[:-1]) / 2 for line in self.lines)).nodes
 
     @property
     def sides(self) -> dict[str, IntArray]:
         """Nodes on the sides; y points down, so that top is where y is smallest."""
-        numbers = np.arange(len(self.x) * len(self.y), dtype=np.int64).reshape(len(self.y), len(self.x))
-        return {"left": numbers[:, 0], "right": numbers[:, -1], "top": numbers[0], "bottom": numbers[-1]}
+        shape = tuple(map(len, self.lines))[::-1]
+        numbers = np.arange(self.n_nodes, dtype=np.int64).reshape(shape)
+        return {name: np.take(numbers, end, axis=-1 - axis).ravel()
+                for axis, names in enumerate(SIDES[:self.dim]) for name, end in zip(names, (0, -1), strict=True)}
 
     def pad(self) -> "GridLines":
-        """Put a ring of rectangles around."""
-        x, y = (np.concatenate([[2 * lines[0] - lines[1]], lines, [2 * lines[-1] - lines[-2]]])
-                for lines in (self.x, self.y))
-        return GridLines(x, y)
+        """Put a ring of cells around."""
+        return GridLines(tuple(np.concatenate([[2 * line[0] - line[1]], line, [2 * line[-1] - line[-2]]])
+                               for line in self.lines))
 
     def build_mesh(self) -> Mesh:
-        """Build the mesh of all rectangles, without node sets."""
-        return build_mesh(self.nodes, {Q4: self.quads})
+        """Build the mesh of all cells, without node sets."""
+        return build_mesh(self.nodes, {self.cell_type: self.cells})
 
     def cut_block(self, block: GridBlock) -> GridPart:
         """Make the mesh of a block, as a mesh of the whole grid restricted to its cells would be."""
-        columns, rows = (range(cells.start, cells.stop + 1) for cells in block)
-        part = GridLines(self.x[columns.start:columns.stop], self.y[rows.start:rows.stop])
-        on_grid = {"left": columns.start == 0, "right": columns.stop == len(self.x),
-                   "top": rows.start == 0, "bottom": rows.stop == len(self.y)}
+        of_nodes = [range(cells.start, cells.stop + 1) for cells in block.ranges]
+        part = GridLines(tuple(line[some.start:some.stop] for line, some in zip(self.lines, of_nodes, strict=True)))
+        on_grid = {name: is_there for names, some, line in zip(SIDES, of_nodes, self.lines, strict=False)
+                   for name, is_there in zip(names, (some.start == 0, some.stop == len(line)), strict=True)}
         sets = {name: nodes if on_grid[name] else nodes[:0] for name, nodes in part.sides.items()}
         mesh = replace(part.build_mesh(), node_sets=sets)
-        return GridPart(mesh, _number(rows, columns, len(self.x)), _number(block.rows, block.columns, len(self.x) - 1))
+        return GridPart(mesh, _number(of_nodes, list(map(len, self.lines))), _number(block.ranges, self.n_along))
 
-    def count_pixels(self) -> tuple[IntArray, IntArray]:
-        """Count the columns of pixels of each column of rectangles, and the rows of each row, as ``rasterize`` does."""
-        columns, rows = np.ceil(np.round(self.x * SNAP) / SNAP), np.ceil(self.y)
-        return np.diff(columns.astype(np.int64)), np.diff(rows.astype(np.int64))
+    def count_pixels(self) -> list[IntArray]:
+        """Count the pixels of each cell along each axis, as ``rasterize`` does."""
+        # Columns are where rows cross the sides.
+        ends = [np.ceil(np.round(self.x * SNAP) / SNAP), *(np.ceil(line) for line in self.lines[1:])]
+        return [np.diff(of_line.astype(np.int64)) for of_line in ends]
 
     @property
     def cell_size(self) -> float:
-        """Root of the rectangles' mean area, pixels."""
-        return float(np.sqrt(np.ptp(self.x) * np.ptp(self.y) / self.n_cells))
+        """Side of a square, or cube, like the cells' mean, pixels."""
+        return float((prod(float(np.ptp(line)) for line in self.lines) / self.n_cells) ** (1 / self.dim))
 
     def build_outline(self) -> Mesh:
-        """Build a mesh of one rectangle that covers the grid."""
-        return GridLines(self.x[[0, -1]], self.y[[0, -1]]).cut_block(GridBlock(range(1), range(1))).mesh
+        """Build a mesh of one cell that covers the grid."""
+        whole = GridLines(tuple(line[[0, -1]] for line in self.lines))
+        return whole.cut_block(GridBlock((range(1),) * self.dim)).mesh
 
 
-def _number(rows: range, columns: range, wide: int) -> IntArray:
-    """Numbers, row by row, in rows of so many."""
-    return (np.arange(rows.start, rows.stop)[:, None] * wide + np.arange(columns.start, columns.stop)).ravel()
+def _number(ranges: Sequence[range], sizes: Sequence[int]) -> IntArray:
+    """Numbers of some places in a box, row by row."""
+    steps = np.cumprod([1, *sizes[:-1]])
+    numbers = np.zeros(1, dtype=np.int64)
+    for some, step in zip(ranges[::-1], steps[::-1], strict=True):
+        numbers = numbers[..., None] + step * np.arange(some.start, some.stop)
+    return numbers.ravel()

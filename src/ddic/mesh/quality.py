@@ -21,7 +21,7 @@ def measure_areas(mesh: Mesh) -> Array:
 
 
 def measure_cell_size(mesh: Mesh) -> float:
-    """Measure the size of a mesh's cells, which run positively: the side of a square or cube like their mean, pixels."""
+    """Measure the size of a mesh's cells, which run positively: the side of a square or cube like the mean, pixels."""
     return float(measure_areas(mesh).mean() ** (1 / mesh.dim))
 
 

@@ -58,6 +58,11 @@ class Raster:
         return np.asarray(up_to[self.row_ptr[1:]] - up_to[self.row_ptr[:-1]])
 
     @property
+    def first_row(self) -> IntArray:
+        """Row of each cell's first run in a plane image, (n_cells,)."""
+        return self.first_rows[:, 0]
+
+    @property
     def rows(self) -> IntArray:
         """Row of each run, (n_runs, dim - 1): y, in a volume y and z."""
         return self.find_runs(np.arange(len(self.n_rows)))[1]
@@ -106,7 +111,7 @@ class Raster:
         sums = np.zeros(len(self.n_rows), dtype=np.int64 if is_counted else np.float64)
         runs = self.row_ptr, self.starts, self.stops, sums
         if len(window.sizes) == 2:
-            _add_up_pixels(image, window.x0, window.y0, self.first_rows[:, 0], *runs)
+            _add_up_pixels(image, window.x0, window.y0, self.first_row, *runs)
         else:
             _add_up_voxels(image, window.lower, self.first_rows, self.n_rows, *runs)
         return sums

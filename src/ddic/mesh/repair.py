@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
 from ddic.errors import InputError, list_first
+from ddic.images.window import Window
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree, multiply_across
 from ddic.mesh.quality import measure_areas, measure_shape_quality
@@ -33,17 +34,18 @@ def repair(mesh: Mesh) -> Mesh:
     return oriented.create_submesh(np.arange(mesh.n_cells))[0]
 
 
-def check_inside(mesh: Mesh, width: int, height: int) -> None:
-    """Refuse a mesh with nodes outside the image, whose size is in pixels; raises InputError."""
+def check_inside(mesh: Mesh, extent: Window) -> None:
+    """Refuse a mesh with nodes outside the image, of which the whole box is given; raises InputError."""
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     # Pixel centres are at integers, so the first pixel begins at -0.5.
-    first, last = -0.5, np.array([width, height]) - 0.5
+    first, last = -0.5, np.array(extent.upper) - 0.5
     if (low >= first - SLACK).all() and (high <= last + SLACK).all():
         return
+    lowest, highest = (", ".join(f"{place:.6g}" for place in corner) for corner in (low, high))
     raise InputError(
-        f"the mesh lies outside the image: nodes from ({low[0]:.6g}, {low[1]:.6g}) to "
-        f"({high[0]:.6g}, {high[1]:.6g}) px, image {width}x{height} px (from -0.5 to {width - 0.5} and "
-        f"{height - 0.5}); correct the region, or mesh.mapping (scale, rotation, translation)")
+        f"the mesh lies outside the image: nodes from ({lowest}) to ({highest}) px, image {extent.describe()} px (from "
+        f"-0.5 to {' and '.join(str(end) for end in last)}); correct the region, or mesh.mapping (scale, rotation, "
+        "translation)")
 
 
 def check_pixels(mesh: Mesh, pixel_counts: IntArray, path: str) -> None:
@@ -73,15 +75,14 @@ def _refuse_bad_numbers(mesh: Mesh) -> None:
 
 
 def _orient(mesh: Mesh) -> Mesh:
-    """Reverse the cells of negative area; the first node stays first."""
+    """Turn the cells of negative area, or volume, inside out."""
     negative = measure_areas(mesh) < 0
     if not negative.any():
         return mesh
     cells = mesh.cells.copy()
     for block in mesh.cell_blocks:
-        n = block.type.n_nodes
         chosen = block.cells[negative[block.cells]]
-        cells[chosen, 1:n] = cells[chosen, 1:n][:, ::-1]
+        cells[chosen, :block.type.n_nodes] = cells[chosen][:, block.type.mirrored]
     return replace(mesh, connectivity=cells[cells >= 0])
 
 
@@ -168,7 +169,7 @@ def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> IntArray:
     raster = rasterize(mesh)
     window = raster.window
     times = _count_cells_of_pixels(raster)
-    shared = raster.sum_by_cell((times > 1).astype(np.float64), window.x0, window.y0)
+    shared = raster.sum_by_cell((times > 1).astype(np.float64), window)
     return np.flatnonzero(shared > SHARED * np.maximum(raster.pixel_counts, 1))
 
 
@@ -196,7 +197,7 @@ def _count_cells_of_pixels(raster: Raster) -> NDArray[np.int32]:
     window = raster.window
     changes = np.zeros((window.height, window.width + 1), dtype=np.int32)
     filled = raster.stops > raster.starts
-    rows = raster.rows[filled] - window.y0
+    rows = raster.rows[filled, 0] - window.y0
     np.add.at(changes, (rows, raster.starts[filled] - window.x0), 1)
     np.add.at(changes, (rows, raster.stops[filled] - window.x0), -1)
     return np.asarray(np.cumsum(changes, axis=1, dtype=np.int32)[:, :-1])
@@ -204,5 +205,5 @@ def _count_cells_of_pixels(raster: Raster) -> NDArray[np.int32]:
 
 def _list_places(points: Array) -> str:
     """The first places."""
-    listed = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in points[:3])
+    listed = ", ".join(f"({', '.join(f'{place:.6g}' for place in point)})" for point in points[:3])
     return listed + (", ..." if len(points) > 3 else "")

@@ -273,33 +273,32 @@ def refuse_impossible(box: Sequence[float], element_size: float, cell: str, name
 
 
 def build_grid_lines(region: Sequence[float], element_size: float) -> GridLines:
-    """Lay the lines of a grid over a region, (x0, y0, x1, y1), pixels; raises InputError as ``count_cells`` does."""
-    x0, y0, x1, y1 = region
-    n_columns, n_rows = count_cells(region, element_size)
-    return GridLines(np.linspace(x0, x1, n_columns + 1), np.linspace(y0, y1, n_rows + 1))
+    """Lay the lines of a grid over a region, pixels; raises InputError as ``count_cells`` does."""
+    low, high = np.reshape(np.asarray(region, dtype=np.float64), (2, -1))
+    n_along = count_cells(region, element_size)
+    return GridLines(tuple(np.linspace(first, last, n + 1) for first, last, n in zip(low, high, n_along, strict=True)))
 
 
-def count_cells(region: Sequence[float], element_size: float, name: str = NAME) -> tuple[int, int]:
-    """Count the columns and rows of cells that cover a region (x0, y0, x1, y1), pixels, before there are any.
+def count_cells(region: Sequence[float], element_size: float, name: str = NAME) -> tuple[int, ...]:
+    """Count the cells along each axis that cover a region, (x0, y0, x1, y1) or its like in a volume, pixels.
 
-    There is one of each at least. Raises InputError where there are more than MOST_CELLS cells in all; ``name`` is what
-    it calls the mesh.
+    There is one at least. Raises InputError where there are more than MOST_CELLS cells in all; ``name`` is what it
+    calls the mesh.
     """
-    x0, y0, x1, y1 = (float(side) for side in region)
+    low, high = np.reshape(np.asarray(region, dtype=np.float64), (2, -1))
     with np.errstate(over="ignore"):
-        along = np.array([x1 - x0, y1 - y0]) / element_size
+        along = (high - low) / element_size
         n_cells = np.maximum(along, 1.0).prod()
     if not n_cells <= MOST_CELLS:
-        raise InputError(f"{name}: element_size = {element_size:g} on region = [{x0:g}, {y0:g}, {x1:g}, "
-                         f"{y1:g}] asks for {n_cells:.3g} elements, more than {MOST_CELLS:.0e}; give larger elements, "
-                         "in pixels")
-    n_columns, n_rows = (max(1, round(float(sides))) for sides in along)
-    return n_columns, n_rows
+        listed = ", ".join(f"{side:g}" for side in region)
+        raise InputError(f"{name}: element_size = {element_size:g} on region = [{listed}] asks for {n_cells:.3g} "
+                         f"elements, more than {MOST_CELLS:.0e}; give larger elements, in pixels")
+    return tuple(max(1, round(float(sides))) for sides in along)
 
 
 def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: BoolArray | None) -> BoolArray:
     """Cells in no hole and in the mask."""
-    kept: BoolArray = ~np.logical_or.reduce([np.zeros(len(grid.quads), dtype=bool), *in_holes])
+    kept: BoolArray = ~np.logical_or.reduce([np.zeros(len(grid.cells), dtype=bool), *in_holes])
     if mask is not None:
         kept &= _cells_in_mask(grid, np.asarray(mask) != 0)
     if not kept.any():
@@ -335,14 +334,14 @@ def _cells_in_mask(grid: GridLines, mask: BoolArray) -> BoolArray:
 
 def _find_members(grid: GridLines, in_holes: Sequence[BoolArray], kept: BoolArray) -> list[IntArray]:
     """For each hole the nodes that its cells share with those that are kept."""
-    quads = grid.quads
+    quads = grid.cells
     return [np.intersect1d(quads[kept], quads[inside]) for inside in in_holes]
 
 
 def _cut_cells(grid: GridLines, kept: BoolArray, holes: Sequence[Outline], members: Sequence[IntArray], cell: str,
                *, splits_flat: bool) -> Mesh:
     """The mesh of the cells that are kept, with all nodes of the grid, those around holes on the outlines."""
-    quads, triangles = chop_corners(grid.quads[kept], members, grid.nodes, holes)
+    quads, triangles = chop_corners(grid.cells[kept], members, grid.nodes, holes)
     if not holes:
         return _build_cells(grid, quads, triangles, cell)
     if splits_flat:
@@ -361,13 +360,13 @@ def _cells_outside(grid: GridLines, outside: OutlinedHole) -> BoolArray:
     Of cells that reach outside those too that would be flat on the region's outline, as happens in its corners.
     """
     outer = ~_keep_largest_piece(outside.measure_distance(grid.centroids) > 0, grid)
-    reaches_out = (outside.measure_distance(grid.nodes) < 0)[grid.quads].any(axis=1)
+    reaches_out = (outside.measure_distance(grid.nodes) < 0)[grid.cells].any(axis=1)
     while True:
         members = _find_members(grid, [outer], ~outer)
-        quads, triangles = chop_corners(grid.quads[~outer], members, grid.nodes, [outside])
+        quads, triangles = chop_corners(grid.cells[~outer], members, grid.nodes, [outside])
         target = find_targets(_build_cells(grid, quads, triangles, "Q4"), members, [outside], grid.box)
         is_flat = _measure_sines(quads, grid.nodes, target)[1:].max(axis=0) < SMALLEST_SINE
-        spoilt = reaches_out & ~outer & np.isin(grid.quads[:, 0], quads[is_flat, 0])
+        spoilt = reaches_out & ~outer & np.isin(grid.cells[:, 0], quads[is_flat, 0])
         if not spoilt.any():
             return outer
         outer = ~_keep_largest_piece(~(outer | spoilt), grid)
@@ -395,13 +394,13 @@ def _list_mask_holes(grid: GridLines, kept: BoolArray, by_mask: BoolArray) -> li
     labels = cv2.connectedComponents(cut_out, connectivity=8)[1]
     outer, of_cells = labels[0, 0], labels[1:-1, 1:-1].ravel()
     inside = by_mask & (of_cells != outer)
-    quads, of_quads = grid.quads[inside], of_cells[inside]
+    quads, of_quads = grid.cells[inside], of_cells[inside]
     return [np.unique(quads[of_quads == number]) for number in dict.fromkeys(of_quads.tolist())]
 
 
 def _name_boundary(mesh: Mesh, grid: GridLines, kept: BoolArray, of_holes: Sequence[IntArray]) -> dict[str, IntArray]:
     """Name the nodes of the boundary; only the cells about it are looked at."""
-    quads = grid.quads
+    quads = grid.cells
     is_used, is_at_edge = np.zeros((2, grid.n_nodes), dtype=bool)
     is_used[quads[kept]] = True
     is_at_edge[quads[~kept]] = True

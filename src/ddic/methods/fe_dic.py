@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ddic.case.schema import Case, GaussNewtonSection, RegularizationSection
 from ddic.check.case import check_on_mesh, check_ranks_of_subdomains
 from ddic.errors import ConvergenceError, SingularSubdomainError, StoppedError, as_collective, is_collective
+from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.inputs.mesh_source import build_meshes
@@ -52,9 +53,9 @@ class _FiniteElements:
     check_ranks = staticmethod(check_ranks_of_subdomains)
     check = staticmethod(check_on_mesh)
 
-    def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
+    def build_result_mesh(self, case: Case, extent: Window) -> Mesh:
         """Build the mesh of the case."""
-        return build_meshes(case, width, height)[0]
+        return build_meshes(case, extent)[0]
 
     def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                 first_frame: Frame | None = None) -> MethodSession:

@@ -11,6 +11,7 @@ from ddic.case.schema import Case
 from ddic.check.case import CheckReport
 from ddic.errors import Problems
 from ddic.images.source import ImageSource
+from ddic.images.window import Window
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs, StartPoints
 from ddic.mesh.mesh import Mesh
@@ -127,15 +128,15 @@ class Method(Protocol):
             What is going to be measured; None where problems do not let it be said.
         """
 
-    def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
+    def build_result_mesh(self, case: Case, extent: Window) -> Mesh:
         """Build the mesh on which a case's result is written, as ``ddic check`` draws it.
 
         Parameters
         ----------
         case : Case
             One that was found fit.
-        width, height : int
-            Of the first camera's images, pixels.
+        extent : Window
+            Of the first camera's images.
 
         Returns
         -------

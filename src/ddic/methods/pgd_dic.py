@@ -304,7 +304,7 @@ def _finish_separated(problem: SeparatedProblem, frame: Frame, pixels: FramePixe
                       solution: SeparatedSolution, failure: str = "") -> SeparatedMeasurement:
     """Compute the residual image and judge cells, ``failure`` saying why there is no result, else empty; collective."""
     residual = pixels.compute_residual_rows(solution.field, solution.grey.gain, solution.grey.offset)
-    grid = GridLines(*choose_output_lines(problem.inputs.case, problem.rectangle))
+    grid = GridLines(choose_output_lines(problem.inputs.case, problem.rectangle))
     cells = _evaluate_output_cells(problem.team, grid, problem.reference, residual)
     notes = (*problem.inputs.notes, *notes, failure or solution.stop, *cells.notes)
     return SeparatedMeasurement(problem, frame, solution, cells, residual, notes, failure)
@@ -375,14 +375,14 @@ class _SuccessiveProducts:
             return None
         with problems.gathered(loaded.path):
             rectangle = build_rectangle(loaded.case)
-            check_rectangle(loaded.case, rectangle, reference.width, reference.height)
+            check_rectangle(loaded.case, rectangle, reference.extent)
             return _describe_rectangle(loaded.case, reference, rectangle)
         return None
 
-    def build_result_mesh(self, case: Case, width: int, height: int) -> Mesh:
+    def build_result_mesh(self, case: Case, extent: Window) -> Mesh:
         """Build the mesh of the result, since elements may be single pixels."""
-        grid = GridLines(*choose_output_lines(case, build_rectangle(case)))
-        return build_mesh(grid.nodes, {Q4: grid.quads}, grid.sides)
+        grid = GridLines(choose_output_lines(case, build_rectangle(case)))
+        return build_mesh(grid.nodes, {Q4: grid.cells}, grid.sides)
 
     def prepare(self, team: Team, inputs: Inputs, listener: Listener, clock: PhaseClock,
                 first_frame: Frame | None = None) -> SeparatedSession:

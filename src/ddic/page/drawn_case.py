@@ -216,7 +216,7 @@ def find_mask_outline(loaded: LoadedCase | None, image: ScreenImage) -> Array:
     if section is None or section.mask is None:
         return np.zeros((0, 2))
     try:
-        mask = read_mask(section.mask, image.source.width, image.source.height)
+        mask = read_mask(section.mask, image.source.extent)
     except InputError:
         return np.zeros((0, 2))
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)

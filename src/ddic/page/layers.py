@@ -54,7 +54,7 @@ def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh | GridLines, outline
 def _list_lines(grid: GridLines, raster: ScreenRaster) -> Array:
     """Both ends of the lines of a grid that may be in sight, (n, 2, 2), pixels."""
     if grid.cell_size / raster.pitch[0] < SMALLEST_CELL:
-        grid = GridLines(grid.x[[0, -1]], grid.y[[0, -1]])
+        grid = GridLines((grid.x[[0, -1]], grid.y[[0, -1]]))
     x0, y0, x1, y1 = grid.box
     x = grid.x[(grid.x >= raster.box[0]) & (grid.x <= raster.box[2])]
     y = grid.y[(grid.y >= raster.box[1]) & (grid.y <= raster.box[3])]
@@ -85,7 +85,7 @@ def find_nodes_in_sight(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
     x0, y0, x1, y1 = raster.box
     step = max(int(DOT * raster.pitch[0] / mesh.cell_size), 1)
     x, y = mesh.x[(mesh.x >= x0) & (mesh.x <= x1)], mesh.y[(mesh.y >= y0) & (mesh.y <= y1)]
-    return GridLines(x[::step], y[::step]).nodes
+    return GridLines((x[::step], y[::step])).nodes
 
 
 def find_cell_centres(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:

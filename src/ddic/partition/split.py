@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pymetis
@@ -64,31 +65,30 @@ def split_by_blocks(mesh: Mesh, blocks: tuple[int, ...]) -> IntArray:
 
 
 def split_grid(grid: GridLines, n_subdomains: int) -> list[GridBlock]:
-    """Split into rectangles of about as many cells, at most one for each cell, by halving along the longer side."""
-    return _halve(GridBlock(range(len(grid.x) - 1), range(len(grid.y) - 1)), n_subdomains)
+    """Split into boxes of about as many cells, at most one for each cell, by halving along the longest side."""
+    return _halve(GridBlock(tuple(map(range, grid.n_along))), n_subdomains)
 
 
 def _halve(block: GridBlock, n: int) -> list[GridBlock]:
-    """Rectangles of a block, n of them."""
+    """Boxes of a block, n of them."""
     if n == 1:
         return [block]
-    along, across = block if len(block.columns) >= len(block.rows) else block[::-1]
+    ranges = block.ranges
+    axis = max(range(len(ranges)), key=lambda k: len(ranges[k]))
+    along, n_across = ranges[axis], block.n_cells // len(ranges[axis])
     half = n // 2
     middle = min(max(round(len(along) * half / n), 1), len(along) - 1)
-    # Where there are few cells, each of the rectangles on either side needs one.
-    half = min(max(half, n - (len(along) - middle) * len(across)), middle * len(across))
-    low, high = along[:middle], along[middle:]
-    sides = [GridBlock(low, across), GridBlock(high, across)]
-    if along is not block.columns:
-        sides = [GridBlock(across, low), GridBlock(across, high)]
-    return [*_halve(sides[0], half), *_halve(sides[1], n - half)]
+    # Where there are few cells, each of the boxes on either side needs one.
+    half = min(max(half, n - (len(along) - middle) * n_across), middle * n_across)
+    low, high = (GridBlock((*ranges[:axis], part, *ranges[axis + 1:])) for part in (along[:middle], along[middle:]))
+    return [*_halve(low, half), *_halve(high, n - half)]
 
 
-def split_grid_by_blocks(grid: GridLines, blocks: tuple[int, int]) -> list[GridBlock]:
+def split_grid_by_blocks(grid: GridLines, blocks: tuple[int, ...]) -> list[GridBlock]:
     """Split into columns and rows of blocks, as ``split_by_blocks`` splits a mesh of the grid."""
-    columns, rows = (_split_line(line, n) for line, n in zip((grid.x, grid.y), blocks, strict=True))
+    ranges = [_split_line(line, n) for line, n in zip(grid.lines, blocks, strict=True)]
     # The first axis varies fastest.
-    return [GridBlock(of_columns, of_rows) for of_rows in rows for of_columns in columns]
+    return [GridBlock(of_axes[::-1]) for of_axes in product(*ranges[::-1])]
 
 
 def _split_line(line: Array, n: int) -> list[range]:

@@ -209,7 +209,8 @@ def fill_cells(subdomains: Sequence[Subdomain], cells: Sequence[BoolArray], weig
     """
     of_nodes = tuple(_assemble(subdomain, chosen, STIFFNESS * weight)
                      for subdomain, chosen in zip(subdomains, cells, strict=True))
-    stiffness = tuple(_turn(subdomain, matrix, rotation) for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
+    stiffness = tuple(_turn(subdomain, matrix, rotation)
+                      for subdomain, matrix in zip(subdomains, of_nodes, strict=True))
     return FilledCells(of_nodes, stiffness, HELD * weight)
 
 

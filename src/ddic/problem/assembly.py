@@ -49,8 +49,8 @@ fixed point does not depend on M, the speed of convergence does: a larger share 
 factors."""
 
 CHANGED_SIDE = 0.5
-"""Side, in cut-off wavelengths, of a square, or cube, of as many pixels as may come or go whatever the share: where more is
-hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
+"""Side, in cut-off wavelengths, of a square, or cube, of as many pixels as may come or go whatever the share: where
+more is hidden together, waves fit in that mechanics do not hold, and the old M holds them back. A larger value costs
 iterations."""
 
 LOST_SHARE = 0.5

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from ddic.problem.region_mesh import Region, RegionSizes
 
 @dataclass(frozen=True, eq=False)
 class GridRegion:
-    """A rectangle of equal cells that one camera measures, the same on every rank.
+    """A rectangle, or box, of equal cells that one camera measures, the same on every rank.
 
     Attributes
     ----------
@@ -49,14 +50,14 @@ class GridRegion:
         return [MeasuredCells(np.arange(mesh.n_cells), mesh, mesh)]
 
     @cached_property
-    def _pixels(self) -> tuple[IntArray, IntArray]:
+    def _pixels(self) -> list[IntArray]:
         return self.grid.count_pixels()
 
     def measure_sizes(self) -> RegionSizes:
         """Measure what the choice of a solver asks for."""
         grid = self.grid
-        whole = GridBlock(range(len(grid.x) - 1), range(len(grid.y) - 1))
-        return RegionSizes(2 * grid.n_nodes, grid.n_cells, grid.n_cells, grid.cell_size,
+        whole = GridBlock(tuple(map(range, grid.n_along)))
+        return RegionSizes(grid.dim * grid.n_nodes, grid.n_cells, grid.n_cells, grid.cell_size,
                            self._measure_work(whole), is_plain=True)
 
     def split(self, n_ranks: int) -> list[GridBlock]:
@@ -82,14 +83,15 @@ class GridRegion:
         mine = team.alike(lambda: split_evenly(costs, team.size))[team.rank]
         subdomains = team.together(lambda: [self._cut_block(number, blocks[number]) for number in mine])
         grid = self.grid
-        shorter_side = float(min(np.ptp(grid.x), np.ptp(grid.y)))
-        return subdomains, Region(grid.n_nodes, grid.n_cells, 2 * grid.n_nodes, len(blocks), shorter_side, Similarity())
+        shorter_side = min(float(np.ptp(line)) for line in grid.lines)
+        return subdomains, Region(grid.n_nodes, grid.n_cells, grid.dim * grid.n_nodes, len(blocks), shorter_side,
+                                  Similarity())
 
     def _measure_work(self, block: GridBlock) -> float:
         """Work of a block's cells, as ``estimate_cell_costs`` counts it, pixels."""
-        columns, rows = self._pixels
-        n_pixels = columns[block.columns.start:block.columns.stop].sum() * rows[block.rows.start:block.rows.stop].sum()
-        return float(n_pixels) + NODE_PIXELS * block.n_cells
+        n_pixels = prod(float(along[some.start:some.stop].sum())
+                        for along, some in zip(self._pixels, block.ranges, strict=True))
+        return n_pixels + NODE_PIXELS * block.n_cells
 
     def _cut_block(self, number: int, block: GridBlock) -> Subdomain:
         grid, section = self.grid, self.inputs.case.regularization
@@ -103,8 +105,8 @@ class GridRegion:
                 controlled[at_edge if name == BOUNDARY else mesh.node_sets[name]] = False
             for box in section.boxes:
                 controlled[is_in_box(mesh.nodes, box)] = False
-        kinematics = NodalKinematics(mesh, component_numbers(node_ids, 2))
-        return begin_subdomain(number, kinematics, node_ids, cell_ids, np.repeat(controlled, 2), ~at_edge)
+        kinematics = NodalKinematics(mesh, component_numbers(node_ids, grid.dim))
+        return begin_subdomain(number, kinematics, node_ids, cell_ids, np.repeat(controlled, grid.dim), ~at_edge)
 
 
 def find_grid_region(inputs: Inputs) -> GridRegion | None:
@@ -113,5 +115,5 @@ def find_grid_region(inputs: Inputs) -> GridRegion | None:
     if is_given or inputs.choose_kinematics is not None or not is_plain_grid(inputs.case):
         return None
     grid, image = build_plain_grid(inputs.case), inputs.cameras[0].reference.image
-    accept_mesh(grid.build_outline(), inputs.case.mesh.name, image.width, image.height, is_built_in=True)
+    accept_mesh(grid.build_outline(), inputs.case.mesh.name, image.extent, is_built_in=True)
     return GridRegion(inputs, grid)

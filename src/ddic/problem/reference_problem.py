@@ -286,7 +286,7 @@ def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, displa
                                                  "points": None})
     camera = replace(inputs.cameras[0], reference=frame[0])
     return replace(inputs, case=inputs.case.model_copy(update={"start": start}), cameras=(camera,),
-                   build_mesh=lambda: (updated.build_moved_mesh(image.width, image.height), None),
+                   build_mesh=lambda: (updated.build_moved_mesh(image.extent), None),
                    updated=updated, notes=())
 
 

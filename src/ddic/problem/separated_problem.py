@@ -116,12 +116,12 @@ def find_rectangle(mesh: Mesh) -> Rectangle:
     return Rectangle(LineElements(x), LineElements(y))
 
 
-def check_rectangle(case: Case, rectangle: Rectangle, width: int, height: int) -> None:
+def check_rectangle(case: Case, rectangle: Rectangle, extent: Window) -> None:
     """Check that a rectangle lies in the images, and what a case with [pgd] says of it.
 
     Raises InputError where it leaves the images or holds no pixel, or a key does not fit it.
     """
-    check_inside(rectangle.build_coarse_mesh(), width, height)
+    check_inside(rectangle.build_coarse_mesh(), extent)
     if not (len(rectangle.along_x.pixels) and len(rectangle.along_y.pixels)):
         raise InputError("mesh.structured.region: it holds no pixel centre; give a larger one")
     choose_output_lines(case, rectangle)
@@ -233,7 +233,7 @@ def _choose_rectangle(inputs: Inputs) -> Rectangle:
     if inputs.choose_kinematics is not None:
         raise InputError("kinematics: [pgd] has products of functions for unknowns; leave one of them out")
     rectangle = build_rectangle(case) if mesh is None else find_rectangle(mesh)
-    check_rectangle(case, rectangle, image.width, image.height)
+    check_rectangle(case, rectangle, image.extent)
     return rectangle
 
 

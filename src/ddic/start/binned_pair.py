@@ -207,13 +207,13 @@ def choose_grid_lines(region: Mesh, pair: BinnedPair) -> GridLines:
     # Pixels that fill no block may lie beyond the last one's edge.
     low, high = np.maximum(region.nodes.min(axis=0), -0.5), np.minimum(region.nodes.max(axis=0), pair.size - 0.5)
     n_columns, n_rows = np.maximum(np.round((high - low) / CELL).astype(int), 1)
-    return GridLines(np.linspace(low[0], high[0], n_columns + 1), np.linspace(low[1], high[1], n_rows + 1))
+    return GridLines((np.linspace(low[0], high[0], n_columns + 1), np.linspace(low[1], high[1], n_rows + 1)))
 
 
 def build_grid(lines: GridLines, active: NDArray[np.uint8], window: Window) -> BlockGrid:
     """Build a grid without the cells that have no block of ``active``, (rows, columns), 1 on those that count."""
     full = lines.build_mesh()
-    n_active = rasterize(full).sum_by_cell(active, window.x0, window.y0)
+    n_active = rasterize(full).sum_by_cell(active, window)
     return BlockGrid(lines, *full.create_submesh(np.flatnonzero(n_active > 0)))
 
 

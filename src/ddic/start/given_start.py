@@ -157,7 +157,7 @@ def _place_points(given: StartPoints, mesh: Mesh, camera: Camera) -> PlacedStart
     mapping = camera.setup.mapping
     if camera.number == 0:
         image = camera.reference.image
-        check_start_points(given, image.width, image.height)
+        check_start_points(given, image.extent)
         require_points_inside(given, mesh)
     points = mapping.to_image(given.points)
     found = interpolate_pairs(points, mapping.to_image(given.points + given.displacement) - points, mesh)

@@ -179,7 +179,7 @@ def _cut_tiles(size: int, region: Mesh, lines: GridLines, starts: Sequence[Array
     lowest, highest = region.outlines.find_boxes()
     for rows in _split_line(lines.y):
         for columns in _split_line(lines.x):
-            part = GridLines(lines.x[columns.wide], lines.y[rows.wide])
+            part = GridLines((lines.x[columns.wide], lines.y[rows.wide]))
             low, high = ([line[k] for line in (part.x, part.y)] for k in (0, -1))
             cells = np.flatnonzero(((lowest <= high) & (highest >= low)).all(axis=1))
             if len(cells):

@@ -21,8 +21,8 @@ from ddic.images.sub_image import MaskedSource, read_reference
 from ddic.inputs.cameras import Camera
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import sum_about_nodes
-from ddic.mesh.rotation import build_rotation
 from ddic.mesh.raster import list_pixels
+from ddic.mesh.rotation import build_rotation
 from ddic.parallel.distribution import find_quantile_of_all, sum_shared_nodes
 from ddic.parallel.field import ByView, add_views
 from ddic.parallel.team import Team
