@@ -10,10 +10,11 @@ import pytest
 
 from ddic.errors import InputError
 from ddic.io.mesh_file import read_mesh, write_mesh
-from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.cell_type import Q4, T3, TET4
+from ddic.mesh.grid import GridBlock
 from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 from ddic.mesh.repair import repair
-from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.structured import build_grid_lines, build_structured_mesh
 
 POINTS = np.array([[0, 0, 2], [1, 0, 2], [2, 0, 2], [2, 1, 2], [1, 1, 2], [0, 1, 2], [9, 9, 7]], dtype=float)
 CELLS = [
@@ -92,6 +93,26 @@ def test_other_cells_are_refused(tmp_path: Path, cells: list[tuple[str, np.ndarr
         read_mesh(tmp_path / "a.vtu", Similarity())
 
 
+@pytest.mark.parametrize(("cells", "words"), [
+    ([("wedge", np.array([[0, 1, 2, 3, 4, 5]]))], "only linear tetrahedra and hexahedra.* holds 1 wedge"),
+    ([("triangle", np.array([[0, 1, 4]]))], "holds no tetrahedron and no hexahedron"),
+])
+def test_cells_that_are_not_measured_in_a_volume_are_refused(tmp_path: Path, cells: list[tuple[str, np.ndarray]],
+                                                             words: str) -> None:
+    meshio.Mesh(POINTS, cells).write(tmp_path / "a.vtu")
+    with pytest.raises(InputError, match=words):
+        read_mesh(tmp_path / "a.vtu", Similarity(), 3)
+
+
+def test_faces_name_node_sets_in_a_volume(tmp_path: Path) -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    cells = [("tetra", np.array([[0, 1, 2, 3]])), ("triangle", np.array([[0, 2, 1], [0, 1, 3]]))]
+    meshio.Mesh(points, cells, cell_sets={"bottom": [np.zeros(0, int), np.array([0])]}).write(tmp_path / "a.inp")
+    mesh = read_mesh(tmp_path / "a.inp", Similarity(2.0, translation=(5.0, 6.0, 7.0)), 3)
+    assert {name.lower(): nodes.tolist() for name, nodes in mesh.node_sets.items()} == {"bottom": [0, 1, 2]}
+    np.testing.assert_array_equal(mesh.nodes, 2 * points + [5, 6, 7])
+
+
 def test_mesh_that_is_not_plane_is_refused(tmp_path: Path) -> None:
     meshio.Mesh(POINTS, [("triangle", np.array([[0, 1, 6]]))]).write(tmp_path / "a.vtu")
     with pytest.raises(InputError, match="not plane: z varies by 5"):
@@ -122,6 +143,9 @@ WRITTEN = {
     "quadrilaterals and triangles": build_structured_mesh(((101.7, 90.2), 60.3), 8, circles=[((100.0, 98.0), 20.0)]),
     "triangles": build_structured_mesh((0, 0, 40, 30), 10, "T3"),
     # Cells of one type after those of the other and before more, a set of one node, one of none.
+    "hexahedra": build_grid_lines((0, 1, 2, 8, 13, 10), 4).cut_block(GridBlock((range(2), range(3), range(2)))).mesh,
+    "tetrahedra": build_mesh(np.array([[0, 0, 0], [3, 0, 0], [0, 4, 0], [0, 0, 5], [3, 4, 5.5]]),
+                             {TET4: np.array([[0, 1, 2, 3], [1, 2, 3, 4]])}, {"tip": np.array([4])}),
     "mixed": build_mesh(POINTS[:6, :2] / 3, [(T3, np.array([[1, 2, 3]])), (Q4, np.array([[0, 1, 4, 5]])),
                                              (T3, np.array([[1, 3, 4]]))],
                         {"a pin": np.array([4]), "edge": np.array([0, 5]), "none": np.zeros(0, np.int64)}),
@@ -142,7 +166,7 @@ def test_what_is_written_is_read_back_the_same(tmp_path: Path, name: str, suffix
                                                capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / f"mesh{suffix}"
     write_mesh(path, WRITTEN[name])
-    assert_same(read_mesh(path, Similarity()), WRITTEN[name])
+    assert_same(read_mesh(path, Similarity(), WRITTEN[name].dim), WRITTEN[name])
     assert list(tmp_path.iterdir()) == [path]
     assert capfd.readouterr() == ("", "")
 

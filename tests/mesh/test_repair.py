@@ -117,7 +117,7 @@ def test_first_and_last_half_pixels_belong_to_the_image() -> None:
 
 @pytest.mark.parametrize("region", [(0, 0, 100, 49), (-1, 0, 90, 40), (0, -1, 90, 40), (0, 0, 90, 50)])
 def test_mesh_outside_the_image_is_refused(region: tuple[float, ...]) -> None:
-    with pytest.raises(InputError, match=r"outside the image.*image 100x50 px"):
+    with pytest.raises(InputError, match=r"outside the image.*image 100 x 50 px"):
         check_inside(build_structured_mesh(region, 10), Window.of_size(100, 50))
 
 

@@ -2,7 +2,7 @@
 
 import io
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from itertools import chain
 from pathlib import Path
@@ -17,11 +17,13 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.mesh.cell_type import CELL_TYPES, CellType
 from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
-PLANE_CELLS = {kind.meshio_name: kind for kind in CELL_TYPES.values()}
-"""Cell types by meshio's names."""
+NAMING_CELLS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
+"""meshio's names of the cells that, where they are of fewer dimensions than the mesh, only carry the names of node sets;
+and their dimension."""
 
-NAMING_CELLS = {"vertex": 0, "line": 1}
-"""meshio's names of the cells that only carry the names of node sets, and their dimension."""
+MEASURED = {2: ("triangles", "quadrilaterals", "triangle", "quadrilateral", "plane mesh", "surface"),
+            3: ("tetrahedra", "hexahedra", "tetrahedron", "hexahedron", "mesh of these", "volume")}
+"""How messages call the cells that are measured, by their dimension, and what holds them."""
 
 
 NODE_SET = "node set: "
@@ -32,28 +34,28 @@ WRITTEN_FORMATS = {".vtu": ("vtu", "<!-- written by ddic mesh -->\n"), ".inp": (
 known."""
 
 
-def read_mesh(path: Path, mapping: Similarity) -> Mesh:
-    """Read a mesh of T3 and Q4 (mixed or not) and map it to pixels; cells keep the file's order.
+def read_mesh(path: Path, mapping: Similarity, dim: int = 2) -> Mesh:
+    """Read a mesh of T3 and Q4, or Tet4 and Hex8 (mixed or not), and map it to pixels; cells keep the file's order.
 
-    Node sets come from the named groups of lines and vertices (Gmsh physical groups, meshio cell sets), from point
-    sets, and from the fields that ``write_mesh`` writes. ``mapping`` leads from the file's units to pixels. The mesh is
-    as it is in the file: not yet repaired. Raises InputError where the file cannot be read, holds other cells, or is
-    not plane.
+    Node sets come from the named groups of cells of fewer dimensions (Gmsh physical groups, meshio cell sets), from
+    point sets, and from the fields that ``write_mesh`` writes. ``mapping`` leads from the file's units to pixels,
+    ``dim`` is 2 for plane cells. The mesh is as it is in the file: not yet repaired. Raises InputError where the file
+    cannot be read, holds other cells, or is not plane.
     """
-    return convert_mesh(_read_raw(path), str(path), mapping)
+    return convert_mesh(_read_raw(path), str(path), mapping, dim)
 
 
-def convert_mesh(raw: Any, name: str, mapping: Similarity) -> Mesh:
-    """Convert a plane meshio mesh of T3 and Q4 (mixed or not) to pixels; cells keep its order.
-
-    Node sets come from its named groups of lines and vertices, and from point sets. ``name`` is what messages call it,
-    ``mapping`` leads from its units to pixels. Raises InputError where it holds other cells, or is not plane.
-    """
-    blocks = [(PLANE_CELLS[b.type], np.asarray(b.data, dtype=np.int64))
-              for b in raw.cells if b.type in PLANE_CELLS and len(b.data)]
-    _refuse_other_cells(name, raw)
-    points = _plane_points(name, np.asarray(raw.points, dtype=np.float64), blocks)
-    return build_mesh(mapping.to_pixels(points), blocks, _node_sets(raw), mapping)
+def convert_mesh(raw: Any, name: str, mapping: Similarity, dim: int = 2) -> Mesh:
+    """Convert a meshio mesh to pixels, as ``read_mesh`` does; ``name`` is what messages call it."""
+    measured = {kind.meshio_name: kind for kind in CELL_TYPES.values() if kind.dim == dim}
+    blocks = [(measured[b.type], np.asarray(b.data, dtype=np.int64))
+              for b in raw.cells if b.type in measured and len(b.data)]
+    naming = {kind: n for kind, n in NAMING_CELLS.items() if n < dim}
+    _refuse_other_cells(name, raw, set(measured), set(naming), dim)
+    points = np.asarray(raw.points, dtype=np.float64)
+    if dim == 2:
+        points = _plane_points(name, points, blocks)
+    return build_mesh(mapping.to_pixels(points), blocks, _node_sets(raw, naming), mapping)
 
 
 def _read_raw(path: Path) -> Any:
@@ -73,17 +75,18 @@ def _read_raw(path: Path) -> Any:
                          "4.1 or VTU, or give it the suffix of its format") from error
 
 
-def _refuse_other_cells(name: str, raw: Any) -> None:
+def _refuse_other_cells(name: str, raw: Any, measured: set[str], naming: set[str], dim: int) -> None:
     """Refuse a file with cells that cannot be measured, or without any that can."""
     found: Counter[str] = Counter()
     for block in raw.cells:
         found[block.type] += len(block.data)
     listed = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "no cells"
-    if set(+found) - set(PLANE_CELLS) - set(NAMING_CELLS):
-        raise InputError(f"{name}: only linear triangles and quadrilaterals can be used, but the file holds "
-                         f"{listed}; export a first-order plane mesh")
-    if not set(+found) & set(PLANE_CELLS):
-        raise InputError(f"{name}: holds no triangle and no quadrilateral ({listed}); export the surface too")
+    some, others, one, other, what, where = MEASURED[dim]
+    if set(+found) - measured - naming:
+        raise InputError(f"{name}: only linear {some} and {others} can be used, but the file holds {listed}; export a "
+                         f"first-order {what}")
+    if not set(+found) & measured:
+        raise InputError(f"{name}: holds no {one} and no {other} ({listed}); export the {where} too")
 
 
 def _plane_points(name: str, points: Array, blocks: list[tuple[CellType, IntArray]]) -> Array:
@@ -98,32 +101,33 @@ def _plane_points(name: str, points: Array, blocks: list[tuple[CellType, IntArra
     return points[:, :2]
 
 
-def _node_sets(raw: Any) -> dict[str, IntArray]:
+def _node_sets(raw: Any, naming: Mapping[str, int]) -> dict[str, IntArray]:
     """Node sets of all kinds by name, sorted, without empty ones."""
     gathered: dict[str, list[IntArray]] = {}
-    for name, nodes in chain(_physical_groups(raw), _cell_sets(raw), raw.point_sets.items(), _marked_nodes(raw)):
+    for name, nodes in chain(_physical_groups(raw, naming), _cell_sets(raw, naming), raw.point_sets.items(),
+                             _marked_nodes(raw)):
         gathered.setdefault(name, []).append(np.asarray(nodes, dtype=np.int64).ravel())
     sets = {name: np.unique(np.concatenate(parts)) for name, parts in gathered.items()}
     return {name: nodes for name, nodes in sets.items() if len(nodes)}
 
 
-def _physical_groups(raw: Any) -> Iterator[tuple[str, IntArray]]:
-    """Nodes of the lines and vertices of Gmsh's named physical groups."""
+def _physical_groups(raw: Any, naming: Mapping[str, int]) -> Iterator[tuple[str, IntArray]]:
+    """Nodes of the naming cells of Gmsh's named physical groups."""
     tags = raw.cell_data.get("gmsh:physical", [])
     for block, of_cells in zip(raw.cells, tags, strict=len(tags) > 0):
         for name, (tag, dimension) in raw.field_data.items():
-            if NAMING_CELLS.get(block.type) == dimension:
+            if naming.get(block.type) == dimension:
                 yield name, np.asarray(block.data)[np.asarray(of_cells) == tag]
 
 
-def _cell_sets(raw: Any) -> Iterator[tuple[str, IntArray]]:
-    """Nodes of the lines and vertices of meshio's cell sets."""
+def _cell_sets(raw: Any, naming: Mapping[str, int]) -> Iterator[tuple[str, IntArray]]:
+    """Nodes of the naming cells of meshio's cell sets."""
     for name, members in raw.cell_sets.items():
         # Gmsh's own bookkeeping, which no user has named.
         if name.startswith("gmsh:"):
             continue
         for block, of_block in zip(raw.cells, members, strict=True):
-            if block.type in NAMING_CELLS and of_block is not None:
+            if block.type in naming and of_block is not None:
                 yield name, np.asarray(block.data)[np.asarray(of_block, dtype=np.int64)]
 
 
@@ -159,7 +163,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     for start, end in zip([0, *ends], ends, strict=False):
         kind = CELL_TYPES[int(mesh.types[start])]
         blocks.append((kind.meshio_name, mesh.cells[start:end, :kind.n_nodes]))
-    points = np.column_stack([mesh.nodes, np.zeros(mesh.n_nodes)])
+    points = np.column_stack([mesh.nodes, np.zeros((mesh.n_nodes, 3 - mesh.dim))])
     raw = meshio.Mesh(points, blocks)
     for name, nodes in mesh.node_sets.items():
         if file_format == "abaqus":
