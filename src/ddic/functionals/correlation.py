@@ -17,16 +17,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
-from ddic.functionals import pixel_kernels as kernels
+from ddic.functionals import pixel_kernels, voxel_kernels
 from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.line_band import find_band_pixels
-from ddic.functionals.pixel_kernels import DeformedPixels, PixelKernels, ReferencePixels
+from ddic.functionals.pixel_kernels import N_SUMS, CellSums, PixelKernels, Shapes
 from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
@@ -36,42 +35,8 @@ from ddic.kinematics.strain import compute_displacement_gradients
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.raster import Raster, rasterize
 
-_NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
-
-PIXEL_KERNELS: dict[str, PixelKernels] = {"bilinear": kernels.COMPILED}
+PIXEL_KERNELS: dict[str, PixelKernels] = {"bilinear": pixel_kernels.COMPILED, "trilinear": voxel_kernels.COMPILED}
 """What sums over the pixels of cells, by the family of their types."""
-
-
-def _convert_reference(f: GradientImage) -> ReferencePixels:
-    """Convert a window of the reference image; its arrays are not copied."""
-    by_x, by_y = map(_flatten, f.slopes)
-    return ReferencePixels(_flatten(f.values), by_x, by_y, _count_row_length(f.values),
-                           f.window.x0, f.window.y0, _or_nothing(f.usable))
-
-
-def _convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:
-    """Convert a window of the deformed image, ``extent`` being the whole one; its arrays are not copied."""
-    return DeformedPixels(_flatten(g.coefficients), _count_row_length(g.coefficients), g.degree,
-                          g.window.x0, g.window.y0, _or_nothing(g.usable), *extent.sizes)
-
-
-def _flatten(image: NDArray[Any]) -> NDArray[Any]:
-    """An image (height, width), or a part of one, as one sequence of rows of ``_count_row_length``."""
-    if image.flags.c_contiguous:
-        return image.reshape(-1)
-    height, width = image.shape
-    n = (height - 1) * _count_row_length(image) + width
-    return as_strided(image, (n,), (image.itemsize,))
-
-
-def _count_row_length(image: NDArray[Any]) -> int:
-    """Numbers from one row of an image, or of a part of one, to the next."""
-    return int(image.strides[0] // image.itemsize)
-
-
-def _or_nothing(usable: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-    """An array whether or not anything is excluded, so that kernels are compiled once."""
-    return _NOTHING_EXCLUDED if usable is None else usable
 
 
 TORN_SIZES, TORN_PIXELS = 4.0, 32.0
@@ -172,7 +137,7 @@ def map_hessians(inverse: Array, hessians: Array) -> Array:
 
 def _is_believed(deformation: Array) -> BoolArray:
     sizes = np.linalg.norm(deformation, axis=(1, 2))
-    return np.asarray((np.linalg.det(deformation) >= LEAST_AREA) & (sizes <= LARGEST_STRETCH * np.sqrt(2)))
+    return np.asarray((np.linalg.det(deformation) >= LEAST_AREA) & (sizes <= LARGEST_STRETCH * np.sqrt(deformation.shape[-1])))
 
 
 FEWEST = 128
@@ -186,7 +151,7 @@ class Residual:
 
     Attributes
     ----------
-    moments : (n_cells, 1 or 3, 2, 4) array
+    moments : (n_cells, 1 or 3, dim, n_monomials) array
         Sums of (r, g, 1) x grad f x monomials, r = f - g(x + u); without the last two where they were not asked for.
     cell_sums : GreySums
         Of every cell, (n_cells, 6).
@@ -196,7 +161,7 @@ class Residual:
     cell_sums: GreySums
 
     def correct_moments(self, gain: Array | float, offset: Array | float) -> Array:
-        """Give the moments of f - gain g(x + u) - offset, (n_cells, 2, 4); gain and offset are one number or by cell.
+        """Give the moments of f - gain g(x + u) - offset, (n_cells, dim, n_monomials); gain and offset are one number or by cell.
 
         All kinds are there where gain is not 1 or offset not 0.
         """
@@ -222,13 +187,13 @@ class Residual:
 class _DisplacedPixels:
     """What kernels take of a displacement.
 
-    order : (n,) cells to visit, in this order; u : (n_cells, 2, 4) coefficients of the displacement on the monomials,
-    pixels; g : the deformed image on a window that holds all displaced pixels.
+    order : (n,) cells to visit, in this order; u : (n_cells, dim, n_monomials) coefficients of the displacement on the
+    monomials, pixels; g : the deformed image on a window that holds all displaced pixels, as kernels take it.
     """
 
     order: IntArray
     u: Array
-    g: kernels.DeformedPixels
+    g: Any
 
 
 @dataclass(frozen=True)
@@ -271,7 +236,7 @@ class Correlation:
         that a pass is confined to: sums over the pixels of the others are 0.
     threads : Threads
         They take slices of the cells; what comes of a cell depends on its pixels alone.
-    inverse_deformations : (n_cells, 2, 2) array, optional
+    inverse_deformations : (n_cells, dim, dim) array, optional
         F^-1 of each cell: F^-T grad f is then taken for the gradient in M and b. None, by default, takes grad f.
     """
 
@@ -325,18 +290,18 @@ class Correlation:
     def compute_cell_hessians(self) -> Array:
         """Sum N^T grad f grad f^T N over the pixels of every cell, grad f moved where it is asked for.
 
-        M_e is (n_cells, 8, 8), node-major, grey levels squared per pixel squared; Eq. 7 of [BP17].
+        M_e is (n_cells, n, n), n = n_monomials dim, node-major, grey levels squared per pixel squared; Eq. 7 of [BP17].
         """
-        shapes = kernels.Shapes(self.interpolation.shapes, self.interpolation.kinds)
+        shapes = Shapes(self.interpolation.shapes, self.interpolation.kinds)
         reference = self._reference_pixels
-        n_cells = self.mesh.n_cells
-        hessians = np.zeros((n_cells, 4, 2, 4, 2))
+        n_cells, n_nodes, dim = self.mesh.n_cells, self.mesh.n_monomials, self.mesh.dim
+        hessians = np.zeros((n_cells, n_nodes, dim, n_nodes, dim))
 
         def accumulate(place: slice) -> None:
             self._kernels.hessian_cells(self._take_cells(self.order[place]), shapes, reference, hessians)
 
         self.threads.run_over(len(self.order), FEWEST, accumulate)
-        hessians = hessians.reshape(n_cells, 8, 8)
+        hessians = hessians.reshape(n_cells, n_nodes * dim, n_nodes * dim)
         return hessians if self.inverse_deformations is None else map_hessians(self.inverse_deformations, hessians)
 
     def assemble_hessian(self, cells: IntArray | None = None) -> sparse.csr_matrix:
@@ -354,7 +319,7 @@ class Correlation:
         n_cells = self.mesh.n_cells
         displaced, reference = self._displace_pixels(deformed, q), self._reference_pixels
         n_kinds = 3 if all_kinds else 1
-        sums = kernels.CellSums(np.empty((n_cells, n_kinds, 2, 4)), np.empty((n_cells, kernels.N_SUMS)))
+        sums = CellSums(np.empty((n_cells, n_kinds, self.mesh.dim, self.mesh.n_monomials)), np.empty((n_cells, N_SUMS)))
         for values in sums:
             # np.zeros would have the system clear small pages one by one while the kernel runs, a tenth of its time.
             values.fill(0.0)
@@ -378,13 +343,13 @@ class Correlation:
                             offset: Array | float) -> Array:
         """Sum N^T grad f (f - gain g(x + u) - offset) over the pixels of some cells, given by number.
 
-        b_e is (n, 8), node-major, grey levels squared per pixel. The residual has all kinds of moments where gain is
+        b_e is (n, n_monomials dim), node-major, grey levels squared per pixel. The residual has all kinds of moments where gain is
         not 1 or offset not 0.
         """
         return self.interpolation.take_to_corners(cells, self._correct_moments(residual, gain, offset)[cells])
 
     def _correct_moments(self, residual: Residual, gain: Array | float, offset: Array | float) -> Array:
-        """Moments of f - gain g(x + u) - offset against grad f, moved where it is asked for, (n_cells, 2, 4)."""
+        """Moments of f - gain g(x + u) - offset against grad f, moved where it is asked for, (n_cells, dim, n_monomials)."""
         if self.inverse_deformations is not None:
             residual = replace(residual, moments=map_moments(self.inverse_deformations, residual.moments))
         return residual.correct_moments(gain, offset)
@@ -437,7 +402,7 @@ class Correlation:
         if len(torn):
             displaced = displaced[np.unique(np.delete(pad_cells(self.mesh), torn, axis=0))]
         if not len(displaced):
-            return Window.of_size(1, 1)
+            return Window.of_size(*[1] * self.mesh.dim)
         # One component after the other: numpy is slow where it looks for the least of pairs.
         by_component = np.ascontiguousarray(displaced.T)
         lower, upper = np.floor(by_component.min(axis=1)), np.ceil(by_component.max(axis=1))
@@ -451,11 +416,12 @@ class Correlation:
         torn = self._find_torn_cells(q)
         order = self.order[~np.isin(self.order, torn)] if len(torn) else self.order
         g = deformed.get_spline(self.find_displaced_window(q))
-        return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q), _convert_deformed(g, self.extent))
+        return _DisplacedPixels(order, self.interpolation.monomial_coefficients(q),
+                                self._kernels.convert_deformed(g, self.extent))
 
     def _draw_residual(self, displaced: _DisplacedPixels, window: Window, correction: Array) -> NDArray[np.float32]:
         """Residual on a window that holds all pixels of the cells to visit."""
-        reference = _convert_reference(self.reference.restrict(window))
+        reference = self._kernels.convert_reference(self.reference.restrict(window))
         image = np.full(window.shape, np.nan, dtype=np.float32)
 
         def write(place: slice) -> None:
@@ -487,16 +453,14 @@ class Correlation:
     def _kernels(self) -> PixelKernels:
         return PIXEL_KERNELS[self.mesh.family]
 
-    def _take_cells(self, order: IntArray) -> kernels.Cells:
+    def _take_cells(self, order: IntArray) -> Any:
         """Cells as kernels take them, in the order of visiting."""
-        raster = self.raster
-        return kernels.Cells(order, self.interpolation.geometry, raster.first_row, raster.row_ptr,
-                             raster.starts, raster.stops)
+        return self._kernels.take_cells(order, self.interpolation, self.raster)
 
     @cached_property
-    def _reference_pixels(self) -> kernels.ReferencePixels:
+    def _reference_pixels(self) -> Any:
         """The reference image as kernels take it; kept, because on a small subdomain it would cost some per cent."""
-        return _convert_reference(self.reference)
+        return self._kernels.convert_reference(self.reference)
 
 
 VISITED_ROWS = 32
@@ -525,7 +489,7 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
     extent = reference.extent
     if not all(extent.contains(window) for window in windows):
         raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
-                         f"({extent.width} x {extent.height} px); move or cut the mesh")
+                         f"({extent.describe()} px); move or cut the mesh")
     groups: list[list[Correlation]] = []
     for common, members in merge_windows(windows, HALO[degree] + PADDING[degree]):
         image = read_reference(reference, common, degree, threads)
@@ -545,8 +509,8 @@ def restrict_to_cells(whole: Correlation, cells: IntArray) -> Correlation:
 def _build_correlation(mesh: Mesh, raster: Raster, image: GradientImage, source: MaskedSource,
                        threads: Threads) -> Correlation:
     """A subdomain whose cells are visited in bands of rows."""
-    x, y = mesh.centroids.T
-    order = np.lexsort((x, y // VISITED_ROWS)).astype(np.int64)
+    x, *others = mesh.centroids.T
+    order = np.lexsort((x, *(along // VISITED_ROWS for along in others))).astype(np.int64)
     return Correlation(mesh, interpolate_cells(mesh), raster, image, source, order, threads)
 
 

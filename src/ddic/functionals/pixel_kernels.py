@@ -26,10 +26,15 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
 from ddic.functionals.instructions import WIDTH, copy_some, copy_vector, count_vector, fill_vector, prefetch
+from ddic.images.spline import GradientImage, SplineImage
+from ddic.images.window import Window
+from ddic.kinematics.cell_interpolation import CellInterpolation
+from ddic.mesh.raster import Raster
 
 LANES = 8
 """Numbers in the widest vector."""
@@ -985,18 +990,71 @@ def hessian_cells(cells, shapes, reference, out):
 
 @dataclass(frozen=True)
 class PixelKernels:
-    """Sums over pixels for the cell types of one family: functions with the arguments of those of this module.
+    """Sums over pixels for the cell types of one family, and what they take images and cells as.
 
     Attributes
     ----------
     hessian_cells, residual_sums, fill_residual_pixels : callable
-        M_e; moments and grey sums of the residual; the residual itself.
+        M_e; moments and grey sums of the residual; the residual itself: functions with the arguments of those of this
+        module.
+    convert_reference : callable
+        From a GradientImage.
+    convert_deformed : callable
+        From a SplineImage, and the box of the whole image.
+    take_cells : callable
+        From the numbers of cells in the order of visiting, their CellInterpolation and their Raster.
     """
 
     hessian_cells: Callable[..., None]
     residual_sums: Callable[..., None]
     fill_residual_pixels: Callable[..., None]
+    convert_reference: Callable[[GradientImage], Any]
+    convert_deformed: Callable[[SplineImage, Window], Any]
+    take_cells: Callable[[IntArray, CellInterpolation, Raster], Any]
 
 
-COMPILED = PixelKernels(hessian_cells, residual_sums, fill_residual_pixels)
+def convert_reference(f: GradientImage) -> ReferencePixels:
+    """Convert a window of the reference image; its arrays are not copied."""
+    by_x, by_y = map(flatten, require_slopes(f))
+    return ReferencePixels(flatten(f.values), by_x, by_y, count_step(f.values, 0), f.window.x0, f.window.y0,
+                           _NOTHING_EXCLUDED if f.usable is None else f.usable)
+
+
+def require_slopes(f: GradientImage) -> NDArray[np.float32]:
+    """Give the gradient of a plane image, (2, height, width)."""
+    if f.slopes is None:
+        raise ValueError("a volume, whose gradient is not kept")
+    return f.slopes
+
+
+def convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:
+    """Convert a window of the deformed image, ``extent`` being the whole one; its arrays are not copied."""
+    return DeformedPixels(flatten(g.coefficients), count_step(g.coefficients, 0), g.degree, g.window.x0, g.window.y0,
+                          _NOTHING_EXCLUDED if g.usable is None else g.usable, *extent.sizes)
+
+
+_NOTHING_EXCLUDED = np.zeros((0, 0), dtype=np.uint8)
+"""Where nothing can be excluded, so that kernels are compiled once."""
+
+
+def flatten(image: NDArray[Any]) -> NDArray[Any]:
+    """Give an image, or a part of one, as one sequence of rows, which ``count_step`` is from one to the next."""
+    if image.flags.c_contiguous:
+        return image.reshape(-1)
+    n = sum((size - 1) * count_step(image, axis) for axis, size in enumerate(image.shape)) + 1
+    return as_strided(image, (n,), (image.itemsize,))
+
+
+def count_step(image: NDArray[Any], axis: int) -> int:
+    """Count the numbers from one row of an image, or of a part of one, to the next; or from one plane."""
+    return int(image.strides[axis] // image.itemsize)
+
+
+def take_cells(order: IntArray, interpolation: CellInterpolation, raster: Raster) -> Cells:
+    """Take cells as kernels do, in the order of visiting."""
+    return Cells(order, interpolation.geometry, raster.first_row, raster.row_ptr, raster.starts, raster.stops)
+
+
+COMPILED = PixelKernels(hessian_cells, residual_sums, fill_residual_pixels, convert_reference, convert_deformed,
+                        take_cells)
 """Of types whose shape functions are polynomials of (1, xi, eta, xi eta)."""

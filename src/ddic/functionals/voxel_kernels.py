@@ -1,6 +1,6 @@
 """Compiled loops over the voxels of cells, fused with the assembly of cell sums.
 
-``tests/support/readable_voxels.py`` says the same in plain loops, voxel by voxel: read it first, it is the oracle of
+``tests/support/readable_kernels.py`` says the same in plain loops, voxel by voxel: read it first, it is the oracle of
 this file.
 
 Voxels of a cell are visited row by row, along x, eight at a time. In a tetrahedron, and in a hexahedron whose sides lie
@@ -24,6 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
+from ddic.functionals.pixel_kernels import N_SUMS, CellSums, PixelKernels, count_step, flatten
+from ddic.images.spline import PADDING, GradientImage, SplineImage
+from ddic.images.volume import DEGREE
+from ddic.images.window import Window
+from ddic.kinematics.cell_interpolation import CellInterpolation
+from ddic.mesh.raster import Raster
 from ddic.vectors import (
     WIDTH,
     count,
@@ -47,14 +53,8 @@ FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "num
 INLINED = {**FLAGS, "_nrt": False, "forceinline": True}
 """Of what is called for every row: arrays live as long as the kernel, hence nobody need count who holds them."""
 
-REACH = 4
-"""Voxels on either side of one that its gradient is taken from."""
-
 DIFFERENCES = tuple(np.float32(number) for number in (4 / 5, -1 / 5, 4 / 105, -1 / 280))
-"""Weights of f(x + k) - f(x - k), k = 1 to REACH: the derivative of a polynomial of degree 8 exactly."""
-
-N_SUMS = 6
-"""Sums over usable voxels of (1, r, g, r^2, g^2, r g) with r = f - g(x + u)."""
+"""Weights of f(x + k) - f(x - k), k = 1 to 4: the derivative of a polynomial of degree 8 exactly."""
 
 AFFINE = 1e-11
 """A cell whose mixed terms are below this, relative to its linear ones, is affine but for rounding."""
@@ -70,54 +70,39 @@ class Cells(NamedTuple):
     ----------
     order : (n_visited,) int64 array
         Cells in the order of visiting.
-    geometry : (n_cells, 3, 8) float64 array
+    geometry : (n_cells, 3, 4 or 8) float64 array
         Coefficients of (x, y, z) on the monomials, voxels.
-    lower, upper : (n_cells, 3) int64 arrays
-        Half-open box of voxels of each cell.
-    row_ptr : (n_cells + 1,) int64 array
-        Cell e owns the runs row_ptr[e] : row_ptr[e + 1], one for each row of its box, those of a plane after each
-        other. A cell without runs is its whole box.
-    starts, stops : (n_runs,) int16 arrays
-        Half-open columns of each run, counted from the box's first; they may be empty.
+    n_monomials : (n_cells,) int64 array
+        How many of them each cell's shape functions have: 4 of a tetrahedron.
+    first_rows, n_rows, row_ptr, starts, stops : arrays
+        Their runs of voxels, as ``Raster`` has them.
     """
 
     order: IntArray
     geometry: Array
-    lower: IntArray
-    upper: IntArray
+    n_monomials: IntArray
+    first_rows: IntArray
+    n_rows: IntArray
     row_ptr: IntArray
-    starts: NDArray[np.int16]
-    stops: NDArray[np.int16]
-
-
-class Shapes(NamedTuple):
-    """Shape functions of cells.
-
-    Attributes
-    ----------
-    coefficients : (n_kinds, 8, 8) float64 array
-        N_a on the monomials, for each kind of cell; rows of nodes that it does not have are zero.
-    kinds : (n_cells,) int64 array
-        Each cell's place in ``coefficients``.
-    """
-
-    coefficients: Array
-    kinds: IntArray
+    starts: NDArray[np.int32]
+    stops: NDArray[np.int32]
 
 
 class ReferenceVoxels(NamedTuple):
-    """A box of the reference volume f, ``REACH`` voxels more on every side, and a vector's more at its end.
+    """A box of the reference volume f, and the voxels about it that its gradient is taken from.
 
     Attributes
     ----------
     values : (n,) uint8, uint16 or float32 array
-        Rows, one after the other, plane by plane.
+        Rows, one after the other, plane by plane; a vector may be loaded beyond their end.
     row_length, plane_length : int
         Numbers from one row to the next, and from one plane.
     origin : int
         Where voxel (0, 0, 0) is, or would be.
-    usable : (n,) uint8 array
-        0 where a voxel is excluded; (0,) where none is, so that there is one compiled kernel for both.
+    usable : (depth, height, width) uint8 array
+        0 where a voxel is excluded; (0, 0, 0) where none is, so that there is one compiled kernel for both.
+    lower : (3,) int64 array
+        The box's first voxel.
     """
 
     values: NDArray[Any]
@@ -125,25 +110,28 @@ class ReferenceVoxels(NamedTuple):
     plane_length: int
     origin: int
     usable: NDArray[np.uint8]
+    lower: IntArray
 
 
 class DeformedVoxels(NamedTuple):
-    """A box of the deformed volume g as coefficients of a cubic spline, padded as the spline needs.
+    """A box of the deformed volume g as coefficients of a cubic spline, and those about it that the spline needs.
 
     Attributes
     ----------
     coefficients : (n,) int16 or float32 array
-        Rows, one after the other, plane by plane, and a vector's more at its end.
+        Rows, one after the other, plane by plane; a vector may be loaded beyond their end.
     row_length, plane_length : int
         Numbers from one row to the next, and from one plane.
     origin : int
         Where the coefficient of voxel (0, 0, 0) is, or would be.
     scale, offset : float
         Grey levels are scale times the spline of the coefficients, plus offset.
-    usable : (n,) uint8 array
-        0 where g between the voxel and its next one along each axis is interpolated from an excluded one; (0,) where
-        nothing is excluded.
-    sizes : tuple of int
+    usable : (depth, height, width) uint8 array
+        0 where g between the voxel and the next one along each axis is interpolated from an excluded one; (0, 0, 0)
+        where nothing is excluded.
+    lower : (3,) int64 array
+        The box's first voxel.
+    sizes : (3,) int64 array
         Numbers of voxels of the whole volume along x, y and z.
     """
 
@@ -154,22 +142,8 @@ class DeformedVoxels(NamedTuple):
     scale: float
     offset: float
     usable: NDArray[np.uint8]
-    sizes: tuple[int, int, int]
-
-
-class CellSums(NamedTuple):
-    """What ``residual_sums`` adds to.
-
-    Attributes
-    ----------
-    moments : (n_cells, 1 or 3, 3, 8) float64 array
-        Sums of (r, g, 1) x grad f x monomials, r = f - g(x + u).
-    grey : (n_cells, 6) float64 array
-        Sums of (1, r, g, r^2, g^2, r g).
-    """
-
-    moments: Array
-    grey: Array
+    lower: IntArray
+    sizes: IntArray
 
 
 class _Row(NamedTuple):
@@ -179,6 +153,21 @@ class _Row(NamedTuple):
     stop: Any
     y: Any
     z: Any
+
+
+class _Run(NamedTuple):
+    """Neighbouring voxels of a row, at most a vector, whose displacements have one integer part.
+
+    x, n: the first one's column, and how many they are; i, j, k: the integer parts along x, y and z; weight: 0 if they
+    are displaced out of the volume, else 1.
+    """
+
+    x: Any
+    n: Any
+    i: Any
+    j: Any
+    k: Any
+    weight: Any
 
 
 class _Scratch(NamedTuple):
@@ -192,18 +181,20 @@ class _Scratch(NamedTuple):
         Monomials at the first voxel of a row, and what they grow by from one voxel to the next.
     lanes : (8 x WIDTH,) float32 array
         Monomials of neighbouring voxels.
-    sums, grey : (n x WIDTH,) array
-        Moments and grey sums by lanes; zeros between cells.
-    pairs : (216 x WIDTH,) array
-        Sums of grad f grad f^T times products of two monomials, by lanes.
+    weights, drawn : (WIDTH,) float32 array
+        Which of neighbouring voxels count; what is written of them.
+    sums, grey, pairs : (n x WIDTH,) array
+        Moments, grey sums, and sums of grad f grad f^T times products of two monomials, by lanes; zeros between cells.
     products, half : (6, 8, 8) and (8, 8) array
-        The same added up, and half of the way from monomials to shape functions.
+        The last ones added up, and half of the way from monomials to shape functions.
     """
 
     inverse: Array
     phi: Array
     slope: Array
     lanes: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    drawn: NDArray[np.float32]
     sums: Array
     grey: Array
     pairs: Array
@@ -214,8 +205,8 @@ class _Scratch(NamedTuple):
 @numba.njit(**FLAGS)
 def _new_scratch():
     return _Scratch(np.zeros((3, 3)), np.zeros(8), np.zeros(8), np.zeros(8 * WIDTH, np.float32),
-                    np.zeros(72 * WIDTH), np.zeros(N_SUMS * WIDTH), np.zeros(216 * WIDTH), np.zeros((6, 8, 8)),
-                    np.zeros((8, 8)))
+                    np.zeros(WIDTH, np.float32), np.zeros(WIDTH, np.float32), np.zeros(72 * WIDTH),
+                    np.zeros(N_SUMS * WIDTH), np.zeros(216 * WIDTH), np.zeros((6, 8, 8)), np.zeros((8, 8)))
 
 
 @numba.njit(**INLINED)
@@ -269,7 +260,7 @@ def _find_gradient(reference, at):
 
 
 @numba.njit(**INLINED)
-def _is_linear(geometry, shapes_are_linear, e, inverse):
+def _is_linear(geometry, n_monomials, e, inverse):
     """Whether monomials of shape functions are linear along rows of cell e; d xi / dx is left in ``inverse``."""
     X = geometry
     a, b, c = X[e, 0, 1], X[e, 0, 2], X[e, 0, 3]
@@ -283,12 +274,12 @@ def _is_linear(geometry, shapes_are_linear, e, inverse):
     for component in range(3):
         for m in range(1, 4):
             linear += abs(X[e, component, m])
-        for m in range(4, 8):
+        for m in range(4, n_monomials):
             mixed += abs(X[e, component, m])
     if mixed > AFFINE * linear:
         return False
     across = abs(inverse[1, 0]) + abs(inverse[2, 0])
-    return shapes_are_linear or across <= AFFINE * abs(inverse[0, 0])
+    return n_monomials == 4 or across <= AFFINE * abs(inverse[0, 0])
 
 
 @numba.njit(**INLINED)
@@ -308,9 +299,9 @@ def _begin_row(geometry, e, row, scratch):
 
 
 @numba.njit(**INLINED)
-def _multiply(D, e, component, phi):
+def _multiply(D, e, component, phi, n_monomials):
     value = 0.0
-    for m in range(8):
+    for m in range(n_monomials):
         value += D[e, component, m] * phi[m]
     return value
 
@@ -342,16 +333,17 @@ def _clamp(x, size):
 
 
 @numba.njit(**INLINED)
-def _stays_inside(geometry, displacement, e, sizes):
+def _stays_inside(geometry, displacement, n_monomials, e, sizes):
     """Whether all displaced voxels of a cell certainly lie in the volume."""
     inside = True
     for corner in range(8):
         xi, eta, zeta = 2.0 * (corner & 1) - 1.0, 1.0 * (corner & 2) - 1.0, 0.5 * (corner & 4) - 1.0
         for i in range(3):
             X, D = geometry[e, i], displacement[e, i]
-            at = (X[0] + D[0] + (X[1] + D[1]) * xi + (X[2] + D[2]) * eta + (X[3] + D[3]) * zeta
-                  + (X[4] + D[4]) * xi * eta + (X[5] + D[5]) * xi * zeta + (X[6] + D[6]) * eta * zeta
-                  + (X[7] + D[7]) * xi * eta * zeta)
+            at = X[0] + D[0] + (X[1] + D[1]) * xi + (X[2] + D[2]) * eta + (X[3] + D[3]) * zeta
+            if n_monomials > 4:
+                at += ((X[4] + D[4]) * xi * eta + (X[5] + D[5]) * xi * zeta + (X[6] + D[6]) * eta * zeta
+                       + (X[7] + D[7]) * xi * eta * zeta)
             inside = inside and (1.0 <= at <= sizes[i] - 2.0)
     return inside
 
@@ -366,19 +358,53 @@ def _place_alone(deformed, row, x, u, v, w):
 
 
 @numba.njit(**INLINED)
-def _compare(reference, deformed, at, to, n, weight, t_x, t_y, t_z):
-    """For n neighbouring voxels: whether they count, f - g and g, which are 0 where they do not.
+def _weigh(usable, lower, x, y, z, n, scratch):
+    """Leave out of n neighbouring voxels, the first of which is given, those that are excluded."""
+    weights = scratch.weights
+    for lane in range(n):
+        weights[lane] = usable[z - lower[2], y - lower[1], x + lane - lower[0]]
+    return load(weights, 0)
 
-    ``at`` is the place of the first one in f, and ``to`` in the coefficients of g that of the one below the first
-    displaced one, which t are the fractions from.
-    """
-    counts = mark_first(n) * splat(weight)
+
+@numba.njit(**INLINED)
+def _count_voxels(reference, row, x, n, scratch):
+    """1 for each of n neighbouring voxels of a row, from x on, that counts in the reference volume, else 0."""
+    counts = mark_first(n)
     if reference.usable.size > 0:
-        counts = counts * load(reference.usable, at)
+        counts = counts * _weigh(reference.usable, reference.lower, x, row.y, row.z, n, scratch)
+    return counts
+
+
+@numba.njit(**INLINED)
+def _find_place(volume, x, y, z):
+    """Where a voxel is in the flat array of a volume's box."""
+    return z * volume.plane_length + y * volume.row_length + x + volume.origin
+
+
+@numba.njit(**INLINED)
+def _compare(reference, deformed, row, run, t_x, t_y, t_z, scratch):
+    """For a run of voxels: whether they count, f - g and g, which are 0 where they do not.
+
+    t are the fractions of their displacements.
+    """
+    counts = _count_voxels(reference, row, run.x, run.n, scratch) * splat(run.weight)
+    x, y, z = run.x + run.i, row.y + run.j, row.z + run.k
     if deformed.usable.size > 0:
-        counts = counts * load(deformed.usable, to)
-    g = counts * _evaluate_spline(deformed, to, t_x, t_y, t_z)
-    return counts, counts * load(reference.values, at) - g, g
+        counts = counts * _weigh(deformed.usable, deformed.lower, x, y, z, run.n, scratch)
+    g = counts * _evaluate_spline(deformed, _find_place(deformed, x, y, z), t_x, t_y, t_z)
+    return counts, counts * load(reference.values, _find_place(reference, run.x, row.y, row.z)) - g, g
+
+
+@numba.njit(**INLINED)
+def _draw(reference, e, row, run, counts, r, g, correction, scratch, out):
+    """Write f - gain g - offset of a run of voxels, NaN where one does not count."""
+    # r is f - g where it counts.
+    store(scratch.drawn, 0, r + (splat(1.0) - splat(correction[0, e])) * g - splat(correction[1, e]))
+    store(scratch.weights, 0, counts)
+    lower = reference.lower
+    for lane in range(run.n):
+        value = scratch.drawn[lane] if scratch.weights[lane] > 0.0 else np.float32(np.nan)
+        out[row.z - lower[2], row.y - lower[1], run.x + lane - lower[0]] = value
 
 
 @numba.njit(**INLINED)
@@ -423,18 +449,17 @@ def _add_row_moments(sums, kind, value, gradient, from_begin):
 
 
 @numba.njit(**INLINED)
-def _sum_linear_row(geometry, displacement, reference, deformed, e, row, inside, scratch, moments):
-    """Add a row of a cell whose monomials are linear along it to the cell's moments, and to grey sums by lanes."""
-    D, phi, slope, n_kinds = displacement, scratch.phi, scratch.slope, moments.shape[1]
-    _begin_row(geometry, e, row, scratch)
-    u0, v0, w0 = _multiply(D, e, 0, phi), _multiply(D, e, 1, phi), _multiply(D, e, 2, phi)
-    du, dv, dw = _multiply(D, e, 0, slope), _multiply(D, e, 1, slope), _multiply(D, e, 2, slope)
-    at_row = row.z * reference.plane_length + row.y * reference.row_length + reference.origin
-    to_row = row.z * deformed.plane_length + row.y * deformed.row_length + deformed.origin
-    x = row.x
+def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, scratch, moments, correction, out):
+    """Add a row of a cell whose monomials are linear along it to the cell's moments and sums, or draw its residual."""
+    D, phi, slope, n_monomials = displacement, scratch.phi, scratch.slope, cells.n_monomials[e]
+    _begin_row(cells.geometry, e, row, scratch)
+    u0, du = _multiply(D, e, 0, phi, n_monomials), _multiply(D, e, 0, slope, n_monomials)
+    v0, dv = _multiply(D, e, 1, phi, n_monomials), _multiply(D, e, 1, slope, n_monomials)
+    w0, dw = _multiply(D, e, 2, phi, n_monomials), _multiply(D, e, 2, slope, n_monomials)
+    n_kinds, x = moments.shape[1], row.x
     while x < row.stop:
-        k = x - row.x
-        u, v, w, weight = u0 + du * k, v0 + dv * k, w0 + dw * k, 1.0
+        step = x - row.x
+        u, v, w, weight = u0 + du * step, v0 + dv * step, w0 + dw * step, 1.0
         n = min(row.stop - x, WIDTH)
         if not inside:
             last = n - 1
@@ -444,25 +469,28 @@ def _sum_linear_row(geometry, displacement, reference, deformed, e, row, inside,
                 n = 1
                 u, v, w, weight = _place_alone(deformed, row, x, u, v, w)
         n = _count_together(u, v, w, du, dv, dw, n)
-        i, j, l = math.floor(u), math.floor(v), math.floor(w)
-        places = count()
-        counts, r, g = _compare(reference, deformed, at_row + x,
-                                to_row + x + np.int64(l) * deformed.plane_length + np.int64(j) * deformed.row_length
-                                + np.int64(i), n, weight, splat(u - i) + places * splat(du),
-                                splat(v - j) + places * splat(dv), splat(w - l) + places * splat(dw))
-        gradient = _find_gradient(reference, at_row + x)
-        from_begin = widen(places + splat(1.0 * k))
+        i, j, k = math.floor(u), math.floor(v), math.floor(w)
+        run, places = _Run(x, n, np.int64(i), np.int64(j), np.int64(k), weight), count()
+        counts, r, g = _compare(reference, deformed, row, run, splat(u - i) + places * splat(du),
+                                splat(v - j) + places * splat(dv), splat(w - k) + places * splat(dw), scratch)
+        x += n
+        if out.size > 0:
+            _draw(reference, e, row, run, counts, r, g, correction, scratch, out)
+            continue
+        gradient = _find_gradient(reference, _find_place(reference, run.x, row.y, row.z))
+        from_begin = widen(places + splat(1.0 * step))
         _add_grey(scratch.grey, counts, r, g)
         _add_row_moments(scratch.sums, 0, r, gradient, from_begin)
         if n_kinds > 1:
             _add_row_moments(scratch.sums, 1, g, gradient, from_begin)
             _add_row_moments(scratch.sums, 2, counts, gradient, from_begin)
-        x += n
+    if out.size > 0:
+        return
     for kind in range(n_kinds):
         for component in range(3):
             place = 6 * kind + 2 * component
             value, along = _total_at(scratch.sums, place), _total_at(scratch.sums, place + 1)
-            for m in range(8):
+            for m in range(n_monomials):
                 moments[e, kind, component, m] += value * phi[m] + along * slope[m]
 
 
@@ -535,12 +563,10 @@ def _reaches_out(size, first, last, least_u, most_u):
 
 
 @numba.njit(**INLINED)
-def _sum_curved_row(geometry, displacement, reference, deformed, e, row, inside, scratch, n_kinds):
-    """Add a row of any hexahedron to moments by lanes, and to grey sums."""
-    X, D, lanes, sizes = geometry, displacement, scratch.lanes, deformed.sizes
+def _visit_curved_row(cells, displacement, reference, deformed, e, row, inside, scratch, n_kinds, correction, out):
+    """Add a row of any hexahedron to moments and grey sums by lanes, or draw its residual."""
+    X, D, lanes, sizes = cells.geometry, displacement, scratch.lanes, deformed.sizes
     base_u, base_v, base_w = math.floor(D[e, 0, 0]), math.floor(D[e, 1, 0]), math.floor(D[e, 2, 0])
-    at_row = row.z * reference.plane_length + row.y * reference.row_length + reference.origin
-    to_row = row.z * deformed.plane_length + row.y * deformed.row_length + deformed.origin
     x = row.x
     while x < row.stop:
         n, weight = min(row.stop - x, WIDTH), 1.0
@@ -555,13 +581,17 @@ def _sum_curved_row(geometry, displacement, reference, deformed, e, row, inside,
             alone_u, alone_v, alone_w, weight = _place_alone(deformed, row, x, first_of(u) + base_u,
                                                              first_of(v) + base_v, first_of(w) + base_w)
             u, v, w = splat(alone_u - base_u), splat(alone_v - base_v), splat(alone_w - base_w)
-        i, j, l = round_down(u), round_down(v), round_down(w)
-        whole_u, whole_v, whole_w = first_of(i), first_of(j), first_of(l)
-        n = min(n, count_equal(i, splat(whole_u)), count_equal(j, splat(whole_v)), count_equal(l, splat(whole_w)))
-        to = (to_row + x + (np.int64(whole_w) + np.int64(base_w)) * deformed.plane_length
-              + (np.int64(whole_v) + np.int64(base_v)) * deformed.row_length + np.int64(whole_u) + np.int64(base_u))
-        counts, r, g = _compare(reference, deformed, at_row + x, to, n, weight, u - i, v - j, w - l)
-        f_x, f_y, f_z = _find_gradient(reference, at_row + x)
+        i, j, k = round_down(u), round_down(v), round_down(w)
+        first_i, first_j, first_k = first_of(i), first_of(j), first_of(k)
+        n = min(n, count_equal(i, splat(first_i)), count_equal(j, splat(first_j)), count_equal(k, splat(first_k)))
+        run = _Run(x, n, np.int64(first_i) + np.int64(base_u), np.int64(first_j) + np.int64(base_v),
+                   np.int64(first_k) + np.int64(base_w), weight)
+        counts, r, g = _compare(reference, deformed, row, run, u - i, v - j, w - k, scratch)
+        x += n
+        if out.size > 0:
+            _draw(reference, e, row, run, counts, r, g, correction, scratch, out)
+            continue
+        f_x, f_y, f_z = _find_gradient(reference, _find_place(reference, run.x, row.y, row.z))
         _add_grey(scratch.grey, counts, r, g)
         for kind in range(n_kinds):
             value = r
@@ -575,40 +605,38 @@ def _sum_curved_row(geometry, displacement, reference, deformed, e, row, inside,
                 _add_at(scratch.sums, 24 * kind + m, widen(a * phi))
                 _add_at(scratch.sums, 24 * kind + 8 + m, widen(b * phi))
                 _add_at(scratch.sums, 24 * kind + 16 + m, widen(c * phi))
-        x += n
+
+
+@numba.njit(**INLINED)
+def _find_row(cells, e, run):
+    """The voxels of a run of cell e."""
+    n_y, n_z = cells.n_rows[e, 0], cells.n_rows[e, 1]
+    k = run - cells.row_ptr[e]
+    return _Row(np.int64(cells.starts[run]), np.int64(cells.stops[run]), cells.first_rows[e, 0] + k % n_y,
+                cells.first_rows[e, 1] + k // n_y % n_z)
 
 
 @numba.njit(**FLAGS)
-def residual_sums(cells, shapes_are_linear, displacement, reference, deformed, sums):
-    """Accumulate, per cell, moments of the residual against grad f and the monomials, and plain sums.
-
-    ``displacement`` holds the coefficients of u on the monomials, (n_cells, 3, 8), voxels; ``deformed`` is a box of g
-    that holds all x + u(x) that lie in the volume. Moments of g and of 1 are accumulated too where ``sums`` has room.
-    """
+def _visit(cells, displacement, reference, deformed, sums, correction, out):
+    """Sum the residual of all cells, or draw it where there is an image to draw on."""
     scratch = _new_scratch()
     n_kinds = sums.moments.shape[1]
     for visit in range(len(cells.order)):
         e = cells.order[visit]
-        run = cells.row_ptr[e]
-        is_whole = run == cells.row_ptr[e + 1]
-        is_linear = _is_linear(cells.geometry, shapes_are_linear, e, scratch.inverse)
-        inside = _stays_inside(cells.geometry, displacement, e, deformed.sizes)
-        for z in range(cells.lower[e, 2], cells.upper[e, 2]):
-            for y in range(cells.lower[e, 1], cells.upper[e, 1]):
-                x, stop = cells.lower[e, 0], cells.upper[e, 0]
-                if not is_whole:
-                    stop = x + np.int64(cells.stops[run])
-                    x += np.int64(cells.starts[run])
-                    run += 1
-                if x >= stop:
-                    continue
-                row = _Row(x, stop, y, z)
-                if is_linear:
-                    _sum_linear_row(cells.geometry, displacement, reference, deformed, e, row, inside, scratch,
-                                    sums.moments)
-                else:
-                    _sum_curved_row(cells.geometry, displacement, reference, deformed, e, row, inside, scratch,
-                                    n_kinds)
+        is_linear = _is_linear(cells.geometry, cells.n_monomials[e], e, scratch.inverse)
+        inside = _stays_inside(cells.geometry, displacement, cells.n_monomials[e], e, deformed.sizes)
+        for run in range(cells.row_ptr[e], cells.row_ptr[e + 1]):
+            row = _find_row(cells, e, run)
+            if row.x >= row.stop:
+                continue
+            if is_linear:
+                _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, scratch, sums.moments,
+                                  correction, out)
+            else:
+                _visit_curved_row(cells, displacement, reference, deformed, e, row, inside, scratch, n_kinds,
+                                  correction, out)
+        if out.size > 0:
+            continue
         if not is_linear:
             for kind in range(n_kinds):
                 for component in range(3):
@@ -618,16 +646,40 @@ def residual_sums(cells, shapes_are_linear, displacement, reference, deformed, s
             sums.grey[e, k] += _total_at(scratch.grey, k)
 
 
+def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
+    """Accumulate, per cell, moments of the residual against grad f and the monomials, and plain sums.
+
+    ``displacement`` holds the coefficients of u on the monomials, (n_cells, 3, n_monomials), voxels; ``deformed`` is a
+    box of g that holds all x + u(x) that lie in the volume. With ``all_kinds`` the moments of g and of 1 are
+    accumulated too, for which ``sums`` has room.
+    """
+    moments = sums.moments if all_kinds else sums.moments[:, :1]
+    _visit(cells, displacement, reference, deformed, sums._replace(moments=moments), _NO_CORRECTION, _NO_VOLUME)
+
+
+def fill_residual_pixels(cells, displacement, reference, deformed, correction, out):
+    """Write f - gain g(x + u) - offset of all cells' voxels.
+
+    ``displacement`` and ``deformed`` are those of ``residual_sums``. ``correction`` are gain, and offset in grey
+    levels, of each cell, (2, n_cells). ``out`` has the reference box's shape, float32, grey levels; NaN where a cell's
+    voxel does not count.
+    """
+    nothing = CellSums(np.zeros((0, 1, 3, 4)), np.zeros((0, N_SUMS)))
+    _visit(cells, displacement, reference, deformed, nothing, correction, out)
+
+
+_NO_CORRECTION = np.zeros((2, 0))
+_NO_VOLUME = np.zeros((0, 0, 0), np.float32)
+
+
 @numba.njit(**INLINED)
-def _add_slopes(scratch, reference, at, n, k):
+def _add_slopes(scratch, reference, row, k, n):
     """Add n neighbouring voxels, the first of which is k after the row's first, to sums of grad f grad f^T.
 
     By lanes, and of the same times the place in the row, and its square.
     """
-    counts = mark_first(n)
-    if reference.usable.size > 0:
-        counts = counts * load(reference.usable, at)
-    f_x, f_y, f_z = _find_gradient(reference, at)
+    counts = _count_voxels(reference, row, row.x + k, n, scratch)
+    f_x, f_y, f_z = _find_gradient(reference, _find_place(reference, row.x + k, row.y, row.z))
     f_x, f_y, f_z = widen(counts * f_x), widen(counts * f_y), widen(counts * f_z)
     place = widen(count() + splat(1.0 * k))
     _add_powers(scratch.sums, 0, f_x * f_x, place)
@@ -660,13 +712,11 @@ def _spread_slopes(scratch, n_monomials):
 
 
 @numba.njit(**INLINED)
-def _add_curved_slopes(scratch, reference, at, n):
-    """Add neighbouring voxels to sums of grad f grad f^T times products of two monomials, by lanes."""
-    counts = mark_first(n)
-    if reference.usable.size > 0:
-        counts = counts * load(reference.usable, at)
+def _add_curved_slopes(scratch, reference, row, k, n):
+    """Add the same to sums of grad f grad f^T times products of two monomials, by lanes."""
+    counts = _count_voxels(reference, row, row.x + k, n, scratch)
     lanes, sums = scratch.lanes, scratch.pairs
-    f_x, f_y, f_z = _find_gradient(reference, at)
+    f_x, f_y, f_z = _find_gradient(reference, _find_place(reference, row.x + k, row.y, row.z))
     f_x, f_y, f_z = counts * f_x, counts * f_y, counts * f_z
     xx, xy, xz = widen(f_x * f_x), widen(f_x * f_y), widen(f_x * f_z)
     yy, yz, zz = widen(f_y * f_y), widen(f_y * f_z), widen(f_z * f_z)
@@ -700,22 +750,21 @@ def _total_pairs(scratch):
 
 @numba.njit(**INLINED)
 def _combine_products(scratch, T, e, out):
-    """Write M_e into out[e] (8, 3, 8, 3) from sums of products of monomials, of which shape functions are T (8, 8)."""
-    half = scratch.half
-    pair = 0
+    """Write M_e into out[e] (n, 3, n, 3) from sums of products of monomials, of which shape functions are T (n, n)."""
+    half, size, pair = scratch.half, len(T), 0
     for c in range(3):
         for d in range(c, 3):
             products = scratch.products[pair]
-            for a in range(8):
-                for n in range(8):
+            for a in range(size):
+                for n in range(size):
                     value = 0.0
-                    for m in range(8):
+                    for m in range(size):
                         value += T[a, m] * products[m, n]
                     half[a, n] = value
-            for a in range(8):
-                for b in range(8):
+            for a in range(size):
+                for b in range(size):
                     value = 0.0
-                    for n in range(8):
+                    for n in range(size):
                         value += half[a, n] * T[b, n]
                     out[e, a, c, b, d] = value
                     out[e, a, d, b, c] = value
@@ -724,39 +773,69 @@ def _combine_products(scratch, T, e, out):
 
 
 @numba.njit(**FLAGS)
-def hessian_cells(cells, shapes, shapes_are_linear, reference, out):
+def hessian_cells(cells, shapes, reference, out):
     """Assemble M_e = sum_vx N_a N_b grad f grad f^T of every cell, Eq. 7 of [BP17].
 
-    ``out`` is (n_cells, 8, 3, 8, 3) by a, component, b, component; grey levels squared per voxel squared.
+    ``out`` is (n_cells, n_monomials, 3, n_monomials, 3) by a, component, b, component; grey levels squared per voxel
+    squared.
     """
     scratch = _new_scratch()
-    n_monomials = 4 if shapes_are_linear else 8
     for visit in range(len(cells.order)):
         e = cells.order[visit]
-        run = cells.row_ptr[e]
-        is_whole = run == cells.row_ptr[e + 1]
-        is_linear = _is_linear(cells.geometry, shapes_are_linear, e, scratch.inverse)
-        for z in range(cells.lower[e, 2], cells.upper[e, 2]):
-            for y in range(cells.lower[e, 1], cells.upper[e, 1]):
-                x, stop = cells.lower[e, 0], cells.upper[e, 0]
-                if not is_whole:
-                    stop = x + np.int64(cells.stops[run])
-                    x += np.int64(cells.starts[run])
-                    run += 1
-                if x >= stop:
-                    continue
-                row = _Row(x, stop, y, z)
-                at = z * reference.plane_length + y * reference.row_length + reference.origin + x
-                if is_linear:
-                    _begin_row(cells.geometry, e, row, scratch)
-                    for k in range(0, stop - x, WIDTH):
-                        _add_slopes(scratch, reference, at + k, min(stop - x - k, WIDTH), k)
-                    _spread_slopes(scratch, n_monomials)
-                else:
-                    for k in range(0, stop - x, WIDTH):
-                        n = min(stop - x - k, WIDTH)
-                        _place_curved(cells.geometry, e, row, x + k, n, scratch)
-                        _add_curved_slopes(scratch, reference, at + k, n)
+        is_linear = _is_linear(cells.geometry, cells.n_monomials[e], e, scratch.inverse)
+        for run in range(cells.row_ptr[e], cells.row_ptr[e + 1]):
+            row = _find_row(cells, e, run)
+            if row.x >= row.stop:
+                continue
+            length = row.stop - row.x
+            if is_linear:
+                _begin_row(cells.geometry, e, row, scratch)
+                for k in range(0, length, WIDTH):
+                    _add_slopes(scratch, reference, row, k, min(length - k, WIDTH))
+                _spread_slopes(scratch, cells.n_monomials[e])
+            else:
+                for k in range(0, length, WIDTH):
+                    n = min(length - k, WIDTH)
+                    _place_curved(cells.geometry, e, row, row.x + k, n, scratch)
+                    _add_curved_slopes(scratch, reference, row, k, n)
         if not is_linear:
             _total_pairs(scratch)
         _combine_products(scratch, shapes.coefficients[shapes.kinds[e]], e, out)
+
+
+_NOTHING_EXCLUDED = np.zeros((0, 0, 0), dtype=np.uint8)
+
+
+def convert_reference(f: GradientImage) -> ReferenceVoxels:
+    """Convert a box of the reference volume; its arrays are not copied."""
+    return ReferenceVoxels(flatten(f.values), *_describe_layout(f.values, f.window.grow(f.margin)),
+                           _NOTHING_EXCLUDED if f.usable is None else f.usable, np.array(f.window.lower))
+
+
+def convert_deformed(g: SplineImage, extent: Window) -> DeformedVoxels:
+    """Convert a box of the deformed volume, ``extent`` being the whole one; its arrays are not copied."""
+    layout = _describe_layout(g.coefficients, g.window.grow(PADDING[DEGREE]))
+    return DeformedVoxels(flatten(g.coefficients), *layout, g.scale, g.offset,
+                          _NOTHING_EXCLUDED if g.usable is None else g.usable, np.array(g.window.lower),
+                          np.array(extent.sizes))
+
+
+def _describe_layout(values: NDArray[Any], box: Window) -> tuple[int, int, int]:
+    """From one row to the next, from one plane, and where voxel (0, 0, 0) is, or would be."""
+    row_length, plane_length = count_step(values, 1), count_step(values, 0)
+    x, y, z = box.lower
+    return row_length, plane_length, -(z * plane_length + y * row_length + x)
+
+
+def take_cells(order: IntArray, interpolation: CellInterpolation, raster: Raster) -> Cells:
+    """Take cells as kernels do, in the order of visiting."""
+    # Shape functions without a mixed term are those of tetrahedra.
+    is_mixed = interpolation.shapes[:, :, 4:].any(axis=(1, 2))
+    n_monomials = np.where(is_mixed, 8, 4)[interpolation.kinds]
+    return Cells(order, interpolation.geometry, n_monomials, raster.first_rows, raster.n_rows, raster.row_ptr,
+                 raster.starts, raster.stops)
+
+
+COMPILED = PixelKernels(hessian_cells, residual_sums, fill_residual_pixels, convert_reference, convert_deformed,
+                        take_cells)
+"""Of tetrahedra and hexahedra."""

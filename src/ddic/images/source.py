@@ -15,7 +15,7 @@ from ddic.images.window import Window
 
 
 class SizedImage(Protocol):
-    """Width and height of an image, which follow from the box of its pixels."""
+    """Width and height of a plane image, which follow from the box of its pixels."""
 
     @property
     def extent(self) -> Window:
@@ -56,7 +56,7 @@ class ImageSource(SizedImage, Protocol):
 
         Returns
         -------
-        (window.height, window.width) array
+        array of the window's shape
             Grey levels in their own type.
         """
 
@@ -69,14 +69,14 @@ def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDA
 
     Parameters
     ----------
-    pixels : (height, width) array
-        Grey levels.
-    usable : (height, width) array or None
+    pixels : (height, width) or (depth, height, width) array
+        Grey levels. In a volume the nearest one is that of the same plane, or of the nearest plane that has any.
+    usable : array of the same shape, or None
         0 where a pixel is left out. Pixels that are not finite are left out too.
 
     Returns
     -------
-    (height, width) array
+    array of the same shape
         Of the same type; the same array where nothing is left out. Zeros where no pixel counts.
     """
     absent = _find_absent(pixels, usable)
@@ -84,6 +84,19 @@ def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDA
         return pixels
     if absent.all():
         return np.zeros_like(pixels)
+    if pixels.ndim == 2:
+        return _fill_plane(pixels, absent)
+    counted = np.flatnonzero(~absent.all(axis=(1, 2)))
+    filled = pixels.copy()
+    for k in counted:
+        filled[k] = _fill_plane(pixels[k], absent[k])
+    for k in np.setdiff1d(np.arange(len(pixels)), counted):
+        filled[k] = filled[counted[np.abs(counted - k).argmin()]]
+    return filled
+
+
+def _fill_plane(pixels: NDArray[Any], absent: BoolArray) -> NDArray[Any]:
+    """The same of a plane image of which some pixels count."""
     # Each pixel that counts has a label, and the others have that of their nearest.
     labels = cv2.distanceTransformWithLabels(absent.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5,
                                              labelType=cv2.DIST_LABEL_PIXEL)[1]
@@ -107,35 +120,53 @@ def without_neighbours(usable: NDArray[np.uint8], before: int, after: int) -> ND
 
     Parameters
     ----------
-    usable : (height, width) array
+    usable : (height, width) or (depth, height, width) array
         0 where a pixel is left out.
     before, after : int
-        Pixels on either side, along both axes, that a value is interpolated from.
+        Pixels on either side, along all axes, that a value is interpolated from.
 
     Returns
     -------
-    (height, width) array
+    array of the same shape
         0 where one of them is left out; beyond the edge none is.
     """
     size = before + 1 + after
-    return np.asarray(cv2.erode(usable, np.ones((size, size), np.uint8), anchor=(before, before)), dtype=np.uint8)
+    square = np.ones((size, size), np.uint8)
+    if usable.ndim == 2:
+        return np.asarray(cv2.erode(usable, square, anchor=(before, before)), dtype=np.uint8)
+    in_planes = np.stack([cv2.erode(plane, square, anchor=(before, before)) for plane in usable])
+    return _without_planes(in_planes, in_planes, before, after)
+
+
+def _without_planes(usable: NDArray[np.uint8], others: NDArray[np.uint8], before: int,
+                    after: int) -> NDArray[np.uint8]:
+    """Leave out the voxels at whose place one is left out in a plane before or after."""
+    found = usable.copy()
+    for step in range(1, before + 1):
+        np.minimum(found[step:], others[:-step], out=found[step:])
+    for step in range(1, after + 1):
+        np.minimum(found[:-step], others[step:], out=found[:-step])
+    return found
 
 
 def without_cross(usable: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """Leave out the pixels whose slope along x or y is taken from one that is left out.
+    """Leave out the pixels whose slope along an axis is taken from one that is left out.
 
     Parameters
     ----------
-    usable : (height, width) array
+    usable : (height, width) or (depth, height, width) array
         0 where a pixel is left out.
     reach : int
         Pixels on either side, along one axis at a time.
 
     Returns
     -------
-    (height, width) array
+    array of the same shape
         0 where one of them is left out; beyond the edge none is.
     """
     cross = np.zeros((2 * reach + 1, 2 * reach + 1), np.uint8)
     cross[reach, :] = cross[:, reach] = 1
-    return np.asarray(cv2.erode(usable, cross), dtype=np.uint8)
+    if usable.ndim == 2:
+        return np.asarray(cv2.erode(usable, cross), dtype=np.uint8)
+    in_planes = np.stack([cv2.erode(plane, cross) for plane in usable])
+    return _without_planes(in_planes, usable, reach, reach)

@@ -43,18 +43,21 @@ class SplineImage:
         Its pixels.
     degree : int
         Of the spline, 3 or 5.
-    coefficients : (window.height + 2 PADDING, window.width + 2 PADDING) array
-        Entry [PADDING, PADDING] belongs to pixel (window.x0, window.y0). Beyond the image's edge they continue by
-        reflection.
-    usable : (window.height, window.width) array or None
-        0 where a value between the pixel and its lower right neighbour is interpolated from an excluded pixel; None
+    coefficients : array of the window's shape, PADDING more on every side
+        Beyond the image's edge they continue by reflection. Those of a volume of bytes are int16.
+    usable : array of the window's shape, or None
+        0 where a value between the pixel and the next one along each axis is interpolated from an excluded pixel; None
         where nothing is excluded.
+    scale, offset : float
+        Grey levels are scale times the spline of the coefficients, plus offset; 1 and 0 but for int16.
     """
 
     window: Window
     degree: int
-    coefficients: NDArray[np.float32]
+    coefficients: NDArray[np.float32 | np.int16]
     usable: NDArray[np.uint8] | None = None
+    scale: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -65,31 +68,38 @@ class GradientImage:
     ----------
     window : Window
         Its pixels.
-    values : (window.height, window.width) array
-        Grey levels: bytes of a large image that has bytes, else float32.
-    slopes : (dim, window.height, window.width) array
-        Of the spline at pixel centres, along x and along y, grey levels per pixel.
-    usable : (window.height, window.width) array or None
+    values : array of the window's shape, ``margin`` more on every side
+        Grey levels: bytes of a large image that has bytes, else float32; a volume's in its own type where kernels know
+        it.
+    slopes : (2, window.height, window.width) array, or None
+        Of the spline at pixel centres, along x and along y, grey levels per pixel. None of a volume, whose gradient
+        kernels take from its values: three numbers a voxel are too many.
+    usable : array of the window's shape, or None
         0 where the pixel is excluded, or one that its slope is taken from; None where nothing is.
+    margin : int
+        Pixels beyond the window that the gradient is taken from; 0 where it is there.
     """
 
     window: Window
-    values: NDArray[np.float32 | np.uint8]
-    slopes: NDArray[np.float32]
+    values: NDArray[np.float32 | np.uint8 | np.uint16]
+    slopes: NDArray[np.float32] | None
     usable: NDArray[np.uint8] | None = None
+    margin: int = 0
 
     def restrict(self, window: Window) -> GradientImage:
         """Look into a window inside it: the new arrays look into these; only what is excluded is copied."""
         inside = self.window.locate(window)
-        return GradientImage(window, self.values[inside], self.slopes[:, *inside],
-                             None if self.usable is None else self.usable[inside].copy())
+        values = self.values[self.window.grow(self.margin).locate(window.grow(self.margin))]
+        return GradientImage(window, values, None if self.slopes is None else self.slopes[:, *inside],
+                             None if self.usable is None else self.usable[inside].copy(), self.margin)
 
     def correct_light(self, light: NDArray[np.float32]) -> GradientImage:
-        """Subtract grey levels, (window.height, window.width), that vary so slowly that slopes do not know them.
+        """Subtract grey levels of the window that vary so slowly that slopes do not know them.
 
         The result has arrays of its own: kernels step through both alike.
         """
-        return GradientImage(self.window, self.values - light, self.slopes.copy(), self.usable)
+        slopes = None if self.slopes is None else self.slopes.copy()
+        return replace(self, values=self.values - np.pad(light, self.margin, mode="edge"), slopes=slopes)
 
     def exclude(self, excluded: BoolArray) -> GradientImage:
         """Exclude further pixels, in a new array that says what is usable."""

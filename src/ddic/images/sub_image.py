@@ -9,6 +9,7 @@ from ddic.arrays import Array
 from ddic.images.source import ImageSource
 from ddic.images.spline import GradientImage, SplineImage, read_gradient, read_spline
 from ddic.images.threads import ONE_THREAD, Threads
+from ddic.images.volume import read_coefficients, read_values
 from ddic.images.window import Window
 
 GROWTH = 8
@@ -73,6 +74,8 @@ class MaskedSource:
 def read_reference(source: MaskedSource, window: Window, degree: int, threads: Threads = ONE_THREAD) -> GradientImage:
     """Read grey levels and gradient of a window, clipped to the reference image, larger if too small for a spline."""
     window = _sizeable(window, source.extent)
+    if len(window.sizes) == 3:
+        return read_values(source.image, window, source.find_usable, excludes_taps=source.excludes_taps)
     return read_gradient(source.image, window, degree, source.find_usable, threads,
                          excludes_taps=source.excludes_taps)
 
@@ -120,6 +123,9 @@ class DeformedSubImage:
         return self._read(_sizeable(window, self.source.extent))
 
     def _read(self, window: Window) -> SplineImage:
+        if len(window.sizes) == 3:
+            return read_coefficients(self.source.image, window, self.source.find_usable, self.threads,
+                                     excludes_taps=self.source.excludes_taps)
         return read_spline(self.source.image, window, self.degree, self.source.find_usable, self.threads,
                            excludes_taps=self.source.excludes_taps)
 

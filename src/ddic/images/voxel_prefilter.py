@@ -51,7 +51,7 @@ def filter_box(values, scale, offset, out):
     n_planes, n_rows, n_columns = values.shape
     height, width = n_rows - 2 * TAPS, n_columns - 2 * TAPS
     wide = (width + WIDTH - 1) // WIDTH * WIDTH + 2 * WIDTH
-    row = np.empty(wide + 2 * TAPS, np.float32)
+    row = np.zeros(wide + 2 * TAPS, np.float32)
     along_x = np.empty((ROWS + 2 * TAPS) * wide, np.float32)
     plane = ROWS * wide + 6 * WIDTH
     along_y = np.empty(n_planes * plane, np.float32)

@@ -47,8 +47,9 @@ class Window:
 
     @property
     def y0(self) -> int:
-        """First row."""
-        return self.lower[1]
+        """First row of a plane box, as all below that names rows; a volume has planes of them: ValueError."""
+        _, first = self.lower
+        return first
 
     @property
     def x1(self) -> int:
@@ -58,7 +59,8 @@ class Window:
     @property
     def y1(self) -> int:
         """The row after the last."""
-        return self.upper[1]
+        _, last = self.upper
+        return last
 
     @property
     def sizes(self) -> tuple[int, ...]:

@@ -1,0 +1,97 @@
+"""Grey levels and spline coefficients of boxes of a volume: one to four bytes a voxel each, and nothing else is kept."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ddic.images.source import ImageSource, fill_excluded, without_cross, without_neighbours
+from ddic.images.spline import PADDING, FindUsable, GradientImage, SplineImage
+from ddic.images.threads import ONE_THREAD, Threads
+from ddic.images.voxel_prefilter import LARGEST_GAIN, TAPS, filter_box
+from ddic.images.window import Window
+from ddic.vectors import WIDTH
+
+DEGREE = 3
+"""Of the spline."""
+
+REACH = 4
+"""Voxels on either side of one that its gradient is taken from."""
+
+PLANES = 64
+"""Planes of coefficients that are computed together; larger slabs take memory, smaller ones filter more planes about
+them."""
+
+KEPT_TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
+"""Of grey levels that kernels take as they are in the file."""
+
+MIDDLE = 127.5
+"""Grey level of bytes whose coefficient is 0."""
+
+STEP = MIDDLE * LARGEST_GAIN / np.iinfo(np.int16).max
+"""Grey levels between the coefficients of bytes that int16 can tell apart: a third of what rounding to bytes took."""
+
+
+def read_values(source: ImageSource, window: Window, find_usable: FindUsable | None = None, *,
+                excludes_taps: bool = True) -> GradientImage:
+    """Read a box inside the volume with the voxels about it that its gradient is taken from.
+
+    Beyond the volume's faces they continue by reflection. ``find_usable`` is as for ``read_spline``. With
+    ``excludes_taps`` voxels beside an excluded one are left out, otherwise only the excluded ones.
+    """
+    whole = window.grow(REACH)
+    pixels, usable = _read_box(source, whole, find_usable)
+    values = _new_box(whole, pixels.dtype if pixels.dtype in KEPT_TYPES else np.dtype(np.float32))
+    values[...] = pixels
+    if usable is not None:
+        usable = without_cross(usable, DEGREE // 2 if excludes_taps else 0)[whole.locate(window)].copy()
+    return GradientImage(window, values, None, usable, REACH)
+
+
+def read_coefficients(source: ImageSource, window: Window, find_usable: FindUsable | None = None,
+                      threads: Threads = ONE_THREAD, *, excludes_taps: bool = True) -> SplineImage:
+    """Read a box inside the volume and prefilter it: coefficients depend on the voxels about them, not on the box.
+
+    ``find_usable`` is as for ``read_spline``. With ``excludes_taps`` all that is interpolated from an excluded voxel is
+    left out, otherwise only what lies beside it.
+    """
+    whole = window.grow(PADDING[DEGREE])
+    pixels, usable = _read_box(source, whole.grow(TAPS), find_usable)
+    is_bytes = pixels.dtype == np.uint8
+    scale, offset = (STEP, MIDDLE) if is_bytes else (1.0, 0.0)
+    out = _new_box(whole, np.dtype(np.int16 if is_bytes else np.float32))
+    numbers = pixels if pixels.dtype in KEPT_TYPES else pixels.astype(np.float32)
+
+    def fill(slabs: Iterator[Window]) -> None:
+        for slab in slabs:
+            begin, end = slab.lower[-1] - whole.lower[-1], slab.upper[-1] - whole.lower[-1]
+            filter_box(np.ascontiguousarray(numbers[begin:end + 2 * TAPS]), np.float32(1.0 / scale),
+                       np.float32(offset), out[begin:end])
+
+    threads.share(whole.split_rows(PLANES), fill)
+    if usable is not None:
+        reach = DEGREE // 2 if excludes_taps else 0
+        inside = whole.grow(TAPS).locate(window)
+        usable = without_neighbours(usable, reach, reach + 1)[inside].copy()
+    return SplineImage(window, DEGREE, out, usable, scale, offset)
+
+
+def _read_box(source: ImageSource, box: Window,
+              find_usable: FindUsable | None) -> tuple[NDArray[Any], NDArray[np.uint8] | None]:
+    """A box that may leave the volume, by reflection there, excluded voxels filled; and which ones are usable."""
+    inside = box.intersection(source.extent)
+    usable = None if find_usable is None else find_usable(inside)
+    pixels = fill_excluded(source.read(inside), usable)
+    beyond = [(first - low, high - last) for low, first, last, high
+              in zip(box.lower, inside.lower, inside.upper, box.upper, strict=True)][::-1]
+    if not np.any(beyond):
+        return pixels, usable
+    return np.pad(pixels, beyond, mode="reflect"), None if usable is None else np.pad(usable, beyond, mode="reflect")
+
+
+def _new_box(box: Window, dtype: DTypeLike) -> NDArray[Any]:
+    """An array of a box's shape with room after its end, where kernels load whole vectors."""
+    room = np.empty(box.n_pixels + 2 * WIDTH, dtype=dtype)
+    room[box.n_pixels:] = 0
+    return room[:box.n_pixels].reshape(box.shape)
