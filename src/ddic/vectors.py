@@ -225,8 +225,9 @@ def _define(operation, instruction):
 
     @overload(operation)
     def choose(one, other):
+        # A function of Python's, since numba compiles what comes back.
         if isinstance(one, VectorType) and one == other:
-            return lambda one, other: calculate(one, other)
+            return lambda one, other: calculate(one, other)  # noqa: PLW0108
         return None
 
 

@@ -12,8 +12,8 @@ from ddic.mesh.quality import list_corner_edges, measure_areas
 
 EVERY = pytest.mark.parametrize("kind", CELL_TYPES.values(), ids=lambda kind: kind.name)
 
-PLANE = pytest.mark.parametrize("kind", (T3, Q4), ids=lambda kind: kind.name)
-IN_SPACE = pytest.mark.parametrize("kind", (TET4, HEX8), ids=lambda kind: kind.name)
+PLANE = pytest.mark.parametrize("kind", [T3, Q4], ids=lambda kind: kind.name)
+IN_SPACE = pytest.mark.parametrize("kind", [TET4, HEX8], ids=lambda kind: kind.name)
 
 AFFINE = np.array([[7.0, 2.0, 1.0], [-3.0, 9.0, 2.0], [1.0, -2.0, 6.0]])
 

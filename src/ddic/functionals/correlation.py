@@ -26,7 +26,7 @@ from ddic.functionals import pixel_kernels, voxel_kernels
 from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.line_band import find_band_pixels
 from ddic.functionals.pixel_kernels import N_SUMS, CellSums, PixelKernels, Shapes
-from ddic.images.spline import HALO, PADDING, GradientImage, SplineImage
+from ddic.images.spline import HALO, PADDING, GradientImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.window import Window, merge_windows
@@ -137,7 +137,8 @@ def map_hessians(inverse: Array, hessians: Array) -> Array:
 
 def _is_believed(deformation: Array) -> BoolArray:
     sizes = np.linalg.norm(deformation, axis=(1, 2))
-    return np.asarray((np.linalg.det(deformation) >= LEAST_AREA) & (sizes <= LARGEST_STRETCH * np.sqrt(deformation.shape[-1])))
+    most = LARGEST_STRETCH * np.sqrt(deformation.shape[-1])
+    return np.asarray((np.linalg.det(deformation) >= LEAST_AREA) & (sizes <= most))
 
 
 FEWEST = 128
@@ -161,9 +162,9 @@ class Residual:
     cell_sums: GreySums
 
     def correct_moments(self, gain: Array | float, offset: Array | float) -> Array:
-        """Give the moments of f - gain g(x + u) - offset, (n_cells, dim, n_monomials); gain and offset are one number or by cell.
+        """Give the moments of f - gain g(x + u) - offset, (n_cells, dim, n_monomials).
 
-        All kinds are there where gain is not 1 or offset not 0.
+        Gain and offset are one number or by cell. All kinds are there where gain is not 1 or offset not 0.
         """
         moments = self.moments
         if np.all(np.equal(gain, 1.0)) and not np.any(offset):
@@ -304,6 +305,13 @@ class Correlation:
         hessians = hessians.reshape(n_cells, n_nodes * dim, n_nodes * dim)
         return hessians if self.inverse_deformations is None else map_hessians(self.inverse_deformations, hessians)
 
+    def sum_slopes(self) -> Array:
+        """Sum grad f grad f^T over the pixels of every cell, (n_cells, dim, dim), (grey levels per pixel) squared."""
+        n_nodes, dim = self.mesh.n_monomials, self.mesh.dim
+        # Shape functions add up to 1.
+        by_node = self.compute_cell_hessians().reshape(-1, n_nodes, dim, n_nodes, dim)
+        return np.asarray(by_node.sum(axis=(1, 3)))
+
     def assemble_hessian(self, cells: IntArray | None = None) -> sparse.csr_matrix:
         """Assemble M = sum_px N^T grad f grad f^T N over the usable pixels of some cells, by default of all.
 
@@ -343,13 +351,13 @@ class Correlation:
                             offset: Array | float) -> Array:
         """Sum N^T grad f (f - gain g(x + u) - offset) over the pixels of some cells, given by number.
 
-        b_e is (n, n_monomials dim), node-major, grey levels squared per pixel. The residual has all kinds of moments where gain is
-        not 1 or offset not 0.
+        b_e is (n, n_monomials dim), node-major, grey levels squared per pixel. The residual has all kinds of moments
+        where gain is not 1 or offset not 0.
         """
         return self.interpolation.take_to_corners(cells, self._correct_moments(residual, gain, offset)[cells])
 
     def _correct_moments(self, residual: Residual, gain: Array | float, offset: Array | float) -> Array:
-        """Moments of f - gain g(x + u) - offset against grad f, moved where it is asked for, (n_cells, dim, n_monomials)."""
+        """Moments of f - gain g(x + u) - offset against grad f, moved where it is asked for."""
         if self.inverse_deformations is not None:
             residual = replace(residual, moments=map_moments(self.inverse_deformations, residual.moments))
         return residual.correct_moments(gain, offset)

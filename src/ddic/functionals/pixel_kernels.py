@@ -1015,16 +1015,9 @@ class PixelKernels:
 
 def convert_reference(f: GradientImage) -> ReferencePixels:
     """Convert a window of the reference image; its arrays are not copied."""
-    by_x, by_y = map(flatten, require_slopes(f))
+    by_x, by_y = map(flatten, f.slopes)
     return ReferencePixels(flatten(f.values), by_x, by_y, count_step(f.values, 0), f.window.x0, f.window.y0,
                            _NOTHING_EXCLUDED if f.usable is None else f.usable)
-
-
-def require_slopes(f: GradientImage) -> NDArray[np.float32]:
-    """Give the gradient of a plane image, (2, height, width)."""
-    if f.slopes is None:
-        raise ValueError("a volume, whose gradient is not kept")
-    return f.slopes
 
 
 def convert_deformed(g: SplineImage, extent: Window) -> DeformedPixels:

@@ -30,7 +30,7 @@ class CellSlopes:
 
     Attributes
     ----------
-    mean : (n_cells, 2, 2) array
+    mean : (n_cells, dim, dim) array
         (Grey levels / px)^2; 0 without pixels.
     """
 
@@ -38,7 +38,7 @@ class CellSlopes:
 
     @cached_property
     def inverse(self) -> Array:
-        """Pseudo-inverse of each mean, (n_cells, 2, 2): a translation along lines of equal grey is not seen."""
+        """Pseudo-inverse of each mean, (n_cells, dim, dim): a translation along lines of equal grey is not seen."""
         return np.asarray(np.linalg.pinv(self.mean, rcond=FLAT, hermitian=True))
 
     @cached_property
@@ -118,6 +118,8 @@ class View:
 
     def measure_slopes(self) -> CellSlopes:
         """Measure the mean of grad f grad f^T over the pixels of each cell that count."""
+        if self.correlation.mesh.dim == 3:
+            return CellSlopes(self.correlation.sum_slopes() / np.maximum(self.count_pixels(), 1)[:, None, None])
         return _measure_cell_slopes(self.correlation.raster, self.correlation.reference, self.count_pixels())
 
     def measure_grey_range(self) -> tuple[float, float]:

@@ -723,8 +723,8 @@ def _add_curved_slopes(scratch, reference, row, k, n):
     first = 0
     for m in range(8):
         one = load(lanes, m * WIDTH)
-        for k in range(m, 8):
-            product = widen(one * load(lanes, k * WIDTH))
+        for other in range(m, 8):
+            product = widen(one * load(lanes, other * WIDTH))
             _add_at(sums, first, xx * product)
             _add_at(sums, first + 1, xy * product)
             _add_at(sums, first + 2, xz * product)

@@ -54,7 +54,7 @@ class SplineImage:
 
     window: Window
     degree: int
-    coefficients: NDArray[np.float32 | np.int16]
+    coefficients: NDArray[Any]
     usable: NDArray[np.uint8] | None = None
     scale: float = 1.0
     offset: float = 0.0
@@ -71,9 +71,9 @@ class GradientImage:
     values : array of the window's shape, ``margin`` more on every side
         Grey levels: bytes of a large image that has bytes, else float32; a volume's in its own type where kernels know
         it.
-    slopes : (2, window.height, window.width) array, or None
-        Of the spline at pixel centres, along x and along y, grey levels per pixel. None of a volume, whose gradient
-        kernels take from its values: three numbers a voxel are too many.
+    slopes : (2, window.height, window.width) array
+        Of the spline at pixel centres, along x and along y, grey levels per pixel. There is none, (0, ...), of a
+        volume, whose gradient kernels take from its values: three numbers a voxel are too many.
     usable : array of the window's shape, or None
         0 where the pixel is excluded, or one that its slope is taken from; None where nothing is.
     margin : int
@@ -81,8 +81,8 @@ class GradientImage:
     """
 
     window: Window
-    values: NDArray[np.float32 | np.uint8 | np.uint16]
-    slopes: NDArray[np.float32] | None
+    values: NDArray[Any]
+    slopes: NDArray[np.float32]
     usable: NDArray[np.uint8] | None = None
     margin: int = 0
 
@@ -90,7 +90,7 @@ class GradientImage:
         """Look into a window inside it: the new arrays look into these; only what is excluded is copied."""
         inside = self.window.locate(window)
         values = self.values[self.window.grow(self.margin).locate(window.grow(self.margin))]
-        return GradientImage(window, values, None if self.slopes is None else self.slopes[:, *inside],
+        return GradientImage(window, values, self.slopes[:, *inside],
                              None if self.usable is None else self.usable[inside].copy(), self.margin)
 
     def correct_light(self, light: NDArray[np.float32]) -> GradientImage:
@@ -98,8 +98,7 @@ class GradientImage:
 
         The result has arrays of its own: kernels step through both alike.
         """
-        slopes = None if self.slopes is None else self.slopes.copy()
-        return replace(self, values=self.values - np.pad(light, self.margin, mode="edge"), slopes=slopes)
+        return replace(self, values=self.values - np.pad(light, self.margin, mode="edge"), slopes=self.slopes.copy())
 
     def exclude(self, excluded: BoolArray) -> GradientImage:
         """Exclude further pixels, in a new array that says what is usable."""

@@ -1,4 +1,4 @@
-"""Grey levels and spline coefficients of boxes of a volume: one to four bytes a voxel each, and nothing else is kept."""
+"""Grey levels and spline coefficients of boxes of a volume: one to four bytes a voxel each, and no gradient."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -46,7 +46,7 @@ def read_values(source: ImageSource, window: Window, find_usable: FindUsable | N
     values[...] = pixels
     if usable is not None:
         usable = without_cross(usable, DEGREE // 2 if excludes_taps else 0)[whole.locate(window)].copy()
-    return GradientImage(window, values, None, usable, REACH)
+    return GradientImage(window, values, np.empty((0, *window.shape), np.float32), usable, REACH)
 
 
 def read_coefficients(source: ImageSource, window: Window, find_usable: FindUsable | None = None,

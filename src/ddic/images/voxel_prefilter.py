@@ -1,8 +1,8 @@
 """Cubic B-spline coefficients of volumes: one symmetric filter along x, y and z, box by box.
 
-The recursive filter whose pole is sqrt(3) - 2 has the impulse response sqrt(3) (sqrt(3) - 2)^|k|, which is cut off where
-it is below float32's rounding. Coefficients then depend on the voxels about them alone, not on the box that they are
-computed in, and all three passes are the same sum at another stride.
+The recursive filter whose pole is sqrt(3) - 2 has the impulse response sqrt(3) (sqrt(3) - 2)^|k|, which is cut off
+where it is below float32's rounding. Coefficients then depend on the voxels about them alone, not on the box that they
+are computed in, and all three passes are the same sum at another stride.
 """
 # mypy: disable-error-code="no-untyped-def"
 
@@ -41,6 +41,31 @@ def _filter(values, at, step):
     return sum_
 
 
+@numba.njit(**FLAGS, _nrt=False, forceinline=True)
+def _filter_row(row, values, offset, to, out):
+    """Filter a row of grey levels less an offset along x, from a place on of an array."""
+    n = len(values)
+    for x in range(0, n - WIDTH + 1, WIDTH):
+        store(row, x, load(values, x) - splat(offset))
+    for x in range(n // WIDTH * WIDTH, n):
+        row[x] = values[x] - offset
+    for x in range(0, n - 2 * TAPS, WIDTH):
+        store(out, to + x, _filter(row, TAPS + x, 1))
+
+
+@numba.njit(**FLAGS, _nrt=False, forceinline=True)
+def _store_row(values, at, step, scale, last, out):
+    """Filter a row of numbers along z, and round what comes of it."""
+    width = len(out)
+    for x in range(0, width - WIDTH + 1, WIDTH):
+        store(out, x, splat(scale) * _filter(values, at + x, step))
+    rest = width // WIDTH * WIDTH
+    if rest < width:
+        store(last, 0, splat(scale) * _filter(values, at + rest, step))
+        for k in range(width - rest):
+            out[rest + k] = last[k]
+
+
 @numba.njit(**FLAGS)
 def filter_box(values, scale, offset, out):
     """Filter a box of a volume, (n_z + 2 TAPS, n_y + 2 TAPS, n_x + 2 TAPS), into its inner part.
@@ -60,25 +85,11 @@ def filter_box(values, scale, offset, out):
         n = min(ROWS, height - top)
         for z in range(n_planes):
             for y in range(n + 2 * TAPS):
-                line = values[z, top + y]
-                for x in range(0, n_columns - WIDTH + 1, WIDTH):
-                    store(row, x, load(line, x) - splat(offset))
-                for x in range(n_columns // WIDTH * WIDTH, n_columns):
-                    row[x] = line[x] - offset
-                for x in range(0, width, WIDTH):
-                    store(along_x, y * wide + x, _filter(row, TAPS + x, 1))
+                _filter_row(row, values[z, top + y], offset, y * wide, along_x)
             for y in range(n):
                 for x in range(0, width, WIDTH):
                     store(along_y, z * plane + y * wide + x, _filter(along_x, (TAPS + y) * wide + x, wide))
             if z < 2 * TAPS:
                 continue
             for y in range(n):
-                to = out[z - 2 * TAPS, top + y]
-                for x in range(0, width, WIDTH):
-                    sum_ = splat(scale) * _filter(along_y, (z - TAPS) * plane + y * wide + x, plane)
-                    if x + WIDTH <= width:
-                        store(to, x, sum_)
-                    else:
-                        store(last, 0, sum_)
-                        for k in range(width - x):
-                            to[x + k] = last[k]
+                _store_row(along_y, (z - TAPS) * plane + y * wide, plane, scale, last, out[z - 2 * TAPS, top + y])

@@ -18,8 +18,8 @@ from ddic.mesh.cell_type import CELL_TYPES, CellType
 from ddic.mesh.mesh import Mesh, Similarity, build_mesh
 
 NAMING_CELLS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
-"""meshio's names of the cells that, where they are of fewer dimensions than the mesh, only carry the names of node sets;
-and their dimension."""
+"""meshio's names of the cells that, where they are of fewer dimensions than the mesh, only carry the names of node
+sets; and their dimension."""
 
 MEASURED = {2: ("triangles", "quadrilaterals", "triangle", "quadrilateral", "plane mesh", "surface"),
             3: ("tetrahedra", "hexahedra", "tetrahedron", "hexahedron", "mesh of these", "volume")}
