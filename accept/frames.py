@@ -288,7 +288,7 @@ def measure_frames(team: Team, task: dict[str, Any]) -> None:
     with DecomposedSession(team, inputs, Silence(), PhaseClock()) as session:
         preparation = time.perf_counter() - begin
         for number, deformed in enumerate(task["deformed"], start=1):
-            section = loaded.case.images.model_copy(update={"deformed": Path(deformed)})
+            section = loaded.case.imaging.model_copy(update={"deformed": Path(deformed)})
             _, frame = open_inputs(team, replace(loaded, case=loaded.case.model_copy(update={"images": section})))
             before = list(session.problem.solver.assembly.systems)
             team.wait_for_all()

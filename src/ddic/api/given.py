@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ddic.arrays import Array, BoolArray
 from ddic.case.loader import LoadedCase, convert_shorthand, convert_to_case
 from ddic.case.named_files import find_frames
-from ddic.case.schema import Case, ImagesSection, NearSection, Shape
+from ddic.case.schema import CameraSection, Case, Shape
 from ddic.check.case import check_case, load_checked_case
 from ddic.errors import InputError, as_collective, refuse_unknown_arguments
 from ddic.images.binned import ArraySource
@@ -238,7 +238,7 @@ ImageLike = Image | NDArray[Any] | str | Path
 """An image, its grey levels (height, width), or its file."""
 
 
-def make_image(given: ImageLike, section: ImagesSection | NearSection, mask: Path | None) -> Image:
+def make_image(given: ImageLike, section: CameraSection, mask: Path | None) -> Image:
     """Make an image with what the case says of its camera's pixels, and its mask; a ``ddic.Image`` says both itself."""
     return given if isinstance(given, Image) else Image(given, mask, section.exclude_saturated, section.saturation)
 

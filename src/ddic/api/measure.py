@@ -341,7 +341,7 @@ def _prepare(team: Team, source: Any, given: Arguments, n_frames: int, progress:
     """A session of a reference image for as many frames as are expected; collective."""
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
     loaded, mesh = team.together(lambda: _look(team, given))
-    images = loaded.case.images
+    images = loaded.case.imaging
     # Of more frames than one some are measured after this call, by when the user may have written into arrays.
     keeps = n_frames > 1
     reference = open_given_image(team, make_image(source, images, images.reference_mask), "reference image",

@@ -75,7 +75,7 @@ def choose_regularization(case: str | Path | Case | LoadedCase, *,
     team = Team.world()
     loaded = team.on_root(lambda: load_given_case(case, Path("case"), team.size))
     # Of a series the last image, which has moved most.
-    inputs, frame = open_inputs(team, loaded, len(list_deformed(loaded.case.images)) - 1)
+    inputs, frame = open_inputs(team, loaded, len(list_deformed(loaded.case.imaging)) - 1)
     team.together(lambda: _refuse_impossible(inputs.case, cut_off_wavelengths, element_sizes))
     if is_line_wanted(inputs.case):
         inputs, _ = find_discontinuities(team, inputs, frame, Silence(), PhaseClock(waiting=team.waiting))

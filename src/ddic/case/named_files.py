@@ -5,16 +5,14 @@ from collections.abc import Iterator, Mapping
 from glob import glob
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
 from ddic.case.methods import find_method_section
-from ddic.case.schema import Case, ImagesSection, NearSection, OutputSection, find_section_in
+from ddic.case.schema import CameraSection, Case, OutputSection, find_section_in
 from ddic.errors import InputError
 from ddic.io.input_file import find_real_path, is_readable_file
-
-Section = TypeVar("Section", ImagesSection, NearSection)
 
 PATTERN = re.compile(r"[*?\[]")
 """What makes a path a pattern."""
@@ -47,15 +45,15 @@ def _takes_path(annotation: Any) -> bool:
 
 def is_series(case: Case) -> bool:
     """Tell whether a case from ``find_frames`` names several deformed images, measured in turn, be it a list of one."""
-    return isinstance(case.images.deformed, tuple)
+    return isinstance(case.imaging.deformed, tuple)
 
 
-def list_cameras(case: Case) -> list[ImagesSection | NearSection]:
+def list_cameras(case: Case) -> list[CameraSection]:
     """List what a case says of each camera's images, the far camera first."""
-    return [case.images, *case.near]
+    return [case.imaging, *case.near]
 
 
-def list_deformed(section: ImagesSection | NearSection) -> tuple[Path, ...]:
+def list_deformed(section: CameraSection) -> tuple[Path, ...]:
     """List the deformed images of a camera of a case from ``find_frames``, as they are measured: one if no series."""
     return section.deformed if isinstance(section.deformed, tuple) else (section.deformed,)
 
@@ -65,7 +63,7 @@ def list_times(case: Case) -> tuple[float, ...]:
 
     Without any it is the number of each image after the reference's time.
     """
-    images = case.images
+    images = case.imaging
     if isinstance(images.deformed_time, tuple):
         return images.deformed_time
     if not is_series(case):
@@ -80,22 +78,22 @@ def find_frames(case: Case, file: Path) -> Case:
     The case has absolute paths; with a series it comes back with a tuple of images. ``file`` is the case file, for
     messages. Raises InputError with one line a problem.
     """
-    images, problems = _expand(case.images, "images", file)
+    images, problems = _expand(case.imaging, case.imaging_name, file)
     near = []
     for number, section in enumerate(case.near, start=1):
         expanded, of_section = _expand(section, f"near, entry {number}", file)
         near.append(expanded)
         problems += of_section
-    expanded_case = case.model_copy(update={"images": images, "near": tuple(near)})
+    expanded_case = case.model_copy(update={case.imaging_name: images, "near": tuple(near)})
     if not problems:
         problems = [f"{file}: {line}" for line in _list_contradictions(expanded_case)]
     if problems:
         raise InputError(problems)
     # A copy is said to give every key that it changes.
-    return expanded_case if near else case.model_copy(update={"images": images})
+    return expanded_case if near else case.model_copy(update={case.imaging_name: images})
 
 
-def _expand(section: Section, name: str, file: Path) -> tuple[Section, list[str]]:
+def _expand(section: CameraSection, name: str, file: Path) -> tuple[CameraSection, list[str]]:
     """A section with files in place of patterns, and what is wrong."""
     given = section.deformed
     if isinstance(given, Path) and not is_pattern(given):
@@ -126,7 +124,7 @@ def _list_contradictions(case: Case) -> Iterator[str]:
     if not is_series(case):
         yield from _list_idle_keys(case)
         return
-    images = case.images
+    images, name = case.imaging, case.imaging_name
     n_frames = len(list_deformed(images))
     for number, section in enumerate(case.near, start=1):
         n_near = len(list_deformed(section))
@@ -136,13 +134,13 @@ def _list_contradictions(case: Case) -> Iterator[str]:
     times = images.deformed_time
     if isinstance(times, tuple):
         if len(times) != n_frames:
-            yield f"images.deformed_time: {len(times)} times for {n_frames} images; give one of each"
+            yield f"{name}.deformed_time: {len(times)} times for {n_frames} images; give one of each"
         elif any(b <= a for a, b in pairwise(times)):
-            yield "images.deformed_time: times have to grow; put the images in order"
+            yield f"{name}.deformed_time: times have to grow; put the images in order"
         if images.frame_interval is not None:
-            yield "images.frame_interval and a list in images.deformed_time: give one of them"
+            yield f"{name}.frame_interval and a list in {name}.deformed_time: give one of them"
     elif "deformed_time" in images.model_fields_set:
-        yield f"images.deformed_time: one time for {n_frames} images; give a list, or images.frame_interval"
+        yield f"{name}.deformed_time: one time for {n_frames} images; give a list, or {name}.frame_interval"
     method = find_method_section(case)
     if method is not None:
         yield f"images.deformed: [{method}] measures one pair at a time; give one image"
@@ -175,7 +173,7 @@ def _list_refused_by_updates(case: Case) -> Iterator[str]:
         (case.output.uncertainty, "uncertainties would be of the last update; leave output.uncertainty out"),
         ("residual_image" in case.output.model_fields_set and case.output.residual_image,
          "pixels of the residual would be those of the last update; leave output.residual_image out"),
-        ((case.images.reference_mask is not None or case.images.masked) and case.images.deformed_mask is None,
+        ((case.imaging.reference_mask is not None or case.imaging.masked) and case.imaging.deformed_mask is None,
          "a later frame is masked by images.deformed_mask; give one beside images.reference_mask and images.masked"),
     ]
     for is_there, reason in refused:
@@ -184,12 +182,13 @@ def _list_refused_by_updates(case: Case) -> Iterator[str]:
 
 
 def _list_idle_keys(case: Case) -> Iterator[str]:
-    if isinstance(case.images.deformed_time, tuple):
-        yield "images.deformed_time: a list goes with several images.deformed; give one number"
-    if case.images.frame_interval is not None:
-        yield "images.frame_interval goes with several images.deformed; give images.deformed_time"
+    name = case.imaging_name
+    if isinstance(case.imaging.deformed_time, tuple):
+        yield f"{name}.deformed_time: a list goes with several {name}.deformed; give one number"
+    if case.imaging.frame_interval is not None:
+        yield f"{name}.frame_interval goes with several {name}.deformed; give {name}.deformed_time"
     if "series" in case.model_fields_set:
-        yield '[series] goes with several images.deformed: a list, or a pattern such as "frame_*.tif"'
+        yield f'[series] goes with several {name}.deformed: a list, or a pattern such as "frame_*.tif"'
     for number, section in enumerate(case.near, start=1):
         if isinstance(section.deformed, tuple):
             yield f"near, entry {number}: deformed: several images beside one images.deformed; give as many"
@@ -202,11 +201,11 @@ def choose_frame(case: Case, number: int) -> Case:
     """
     if not is_series(case):
         return case
-    images = case.images.model_copy(update={
-        "deformed": list_deformed(case.images)[number], "deformed_time": list_times(case)[number],
+    images = case.imaging.model_copy(update={
+        "deformed": list_deformed(case.imaging)[number], "deformed_time": list_times(case)[number],
         "frame_interval": None})
     near = tuple(section.model_copy(update={"deformed": list_deformed(section)[number]}) for section in case.near)
-    changes: dict[str, object] = {"images": images, "near": near}
+    changes: dict[str, object] = {case.imaging_name: images, "near": near}
     if "residual_image" not in case.output.model_fields_set:
         changes["output"] = case.output.model_copy(update={"residual_image": False})
     return case.model_copy(update=changes)

@@ -4,10 +4,10 @@ The text below a key is what it means; ``note`` holds what its type does not tel
 them (scripts/write_case_reference.py).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sized
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
@@ -49,7 +49,10 @@ GreyLevels = Annotated[Positive, note(unit="grey levels")]
 Degrees = Annotated[Finite, note(unit="degrees")]
 Point = Annotated[tuple[Finite, Finite], note(shape="[x, y]")]
 Points = Annotated[tuple[tuple[Finite, Finite], ...], note(unit="px", shape="list of [x, y]")]
-Box = Annotated[tuple[Finite, Finite, Finite, Finite], note(unit="px", shape="[x0, y0, x1, y1]")]
+Coordinates = Annotated[tuple[Finite, ...], Field(min_length=2, max_length=3), note(unit="px", shape="[x, y]")]
+"""With a third number in a volume, as in what follows."""
+Box = Annotated[tuple[Finite, ...], Field(min_length=4, max_length=6), note(unit="px", shape="[x0, y0, x1, y1]")]
+Match = Annotated[tuple[Finite, ...], Field(min_length=4, max_length=6)]
 Paths = Annotated[tuple[Path, ...], Field(min_length=1)]
 Times = Annotated[tuple[Finite, ...], Field(min_length=1)]
 ImageFiles = Annotated[
@@ -103,7 +106,32 @@ Shape = Annotated[Annotated[ShapeSection, Tag("one")] | Annotated[Box, Tag("seve
 Shapes = Annotated[tuple[Shape, ...], note(unit="px", shape="list of [x0, y0, x1, y1] or sections")]
 
 
-class ImagesSection(Section):
+class ImagingSection(Section):
+    """What images and volumes have in common: the unit of lengths, times, and noise."""
+
+    length_unit: str = "px"
+    """Unit of lengths in the outputs, such as `"mm"`; needs the size of a pixel, or voxel."""
+
+    reference_time: Annotated[Finite, note(unit="chosen by you")] = 0.0
+    """Time stamp of the reference image."""
+
+    deformed_time: TimeOrTimes = 1.0
+    """Time stamp of the deformed image; of a series a list with one for each, which grow. The numbers of the images
+    where a series is given none."""
+
+    frame_interval: Annotated[Positive | None, note(unit="chosen by you")] = None
+    """Time from each image of a series to the next, in place of a list in `deformed_time`."""
+
+    noise: GreyLevels | None = None
+    """Standard deviation of an image's noise, which weighs this camera against those of `[[near]]` and gives the
+    [uncertainty](uncertainty.md) of the field; estimated from the residual where left out."""
+
+    at_rest: Path | None = None
+    """Another image of the specimen as the reference image shows it: the two give the noise for
+    `output.uncertainty`."""
+
+
+class ImagesSection(ImagingSection):
     """The image pair; paths are relative to the case file."""
 
     reference: Path
@@ -137,32 +165,49 @@ class ImagesSection(Section):
     pixel_size: Annotated[Positive | None, note(unit="length_unit per px")] = None
     """Physical size of a pixel; needs `length_unit`."""
 
-    length_unit: str = "px"
-    """Unit of lengths in the outputs, such as `"mm"`; needs `pixel_size`."""
-
-    reference_time: Annotated[Finite, note(unit="chosen by you")] = 0.0
-    """Time stamp of the reference image."""
-
-    deformed_time: TimeOrTimes = 1.0
-    """Time stamp of the deformed image; of a series a list with one for each, which grow. The numbers of the images
-    where a series is given none."""
-
-    frame_interval: Annotated[Positive | None, note(unit="chosen by you")] = None
-    """Time from each image of a series to the next, in place of a list in `deformed_time`."""
-
-    noise: GreyLevels | None = None
-    """Standard deviation of a picture's noise, which weighs this camera against those of `[[near]]` and gives the
-    [uncertainty](uncertainty.md) of the field; estimated from the residual where left out."""
-
-    at_rest: Path | None = None
-    """Another picture of the specimen as the reference image shows it: the two give the noise for
-    `output.uncertainty`."""
-
     def _list_contradictions(self) -> Iterator[str]:
         if self.saturation is not None and not self.exclude_saturated:
             yield "images.saturation goes with images.exclude_saturated = true"
         if (self.pixel_size is None) != (self.length_unit == "px"):
             yield "pixel_size and length_unit go together: give both, or neither"
+
+
+class VolumesSection(ImagingSection):
+    """The pair of volumes, in place of [images]; paths are relative to the case file."""
+
+    reference: Path
+    """The volume f before loading, read box by box: raw numbers beside a sidecar, TIFF of many pages, a folder of
+    slices, NumPy's .npy, HDF5 or Zarr ([formats](volumes.md#formats))."""
+
+    deformed: ImageFiles
+    """The volume g after loading, of the same size; or those of a [series](series.md): a list, or a pattern such as
+    `"scan_*.tif"`, taken in the order of the numbers in their names. A folder is one volume."""
+
+    mask: Path | None = None
+    """Volume of the same size as the reference; voxels that are 0 in it are left out."""
+
+    voxel_size: Annotated[Positive | None, note(unit="length_unit per voxel")] = None
+    """Physical side of a voxel, which is a cube; needs `length_unit`."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        if (self.voxel_size is None) != (self.length_unit == "px"):
+            yield "voxel_size and length_unit go together: give both, or neither"
+
+    @property
+    def pixel_size(self) -> float | None:
+        """As of images."""
+        return self.voxel_size
+
+    @property
+    def reference_mask(self) -> Path | None:
+        """As of images."""
+        return self.mask
+
+    # What volumes do not have.
+    deformed_mask: ClassVar[Path | None] = None
+    masked: ClassVar[Shapes] = ()
+    exclude_saturated: ClassVar[bool] = False
+    saturation: ClassVar[float | None] = None
 
 
 class CircleSection(Section):
@@ -201,8 +246,8 @@ class MeshedSection(Section):
     """Polygonal holes, see below."""
 
     @property
-    def box(self) -> tuple[float, float, float, float]:
-        """The smallest box around the region: x0, y0, x1, y1, pixels."""
+    def box(self) -> tuple[float, ...]:
+        """The smallest box around the region: its lowest corner, then its highest, pixels."""
         region = self.region
         if not isinstance(region, ShapeSection):
             return region
@@ -213,10 +258,12 @@ class MeshedSection(Section):
         return min(columns), min(rows), max(columns), max(rows)
 
     def _list_contradictions(self) -> Iterator[str]:
-        x0, y0, x1, y1 = self.box
-        if x1 - x0 < self.element_size or y1 - y0 < self.element_size:
-            yield (f"region must hold at least one element of element_size: its box is {x1 - x0:g} x {y1 - y0:g} px; "
-                   "give [x0, y0, x1, y1], the lesser corner first, or smaller elements")
+        dim = len(self.box) // 2
+        sides = [high - low for low, high in zip(self.box[:dim], self.box[dim:], strict=False)]
+        if min(sides) < self.element_size:
+            listed = " x ".join(f"{side:g}" for side in sides)
+            yield (f"region must hold at least one element of element_size: its box is {listed} px; give [x0, y0, x1, "
+                   "y1], the lesser corner first, or smaller elements")
 
 
 class StructuredSection(MeshedSection):
@@ -253,7 +300,7 @@ class MappingSection(Section):
     rotation_degrees: Degrees = 0.0
     """Positive from +x to +y, which is clockwise on the screen."""
 
-    translation: Annotated[Point, note(unit="px")] = (0.0, 0.0)
+    translation: Annotated[Coordinates, note(default="[0, 0]")] = ()
     """Where the mesh's origin lies in the image."""
 
     y_up: bool = False
@@ -340,7 +387,8 @@ class NearSection(Section):
     motion: Literal["translation", "rigid"] = "translation"
     """How the near set-up may have moved between its two pictures, solved for: a translation, or with a rotation."""
 
-    region: Annotated[Box | None, note(unit="far px")] = None
+    region: Annotated[tuple[Finite, Finite, Finite, Finite] | None,
+                      note(unit="far px", shape="[x0, y0, x1, y1]")] = None
     """Only elements in this box are measured by the near images."""
 
     mesh: Annotated[MeshSection | None, note(unit="far px")] = None
@@ -366,6 +414,10 @@ class NearSection(Section):
             yield "near.rotation_degrees goes with near.ratio and near.offset"
         if self.mesh is not None and self.region is not None:
             yield "near.region chooses elements of [mesh]; a near field with near.mesh measures all of its own"
+
+
+CameraSection = ImagesSection | VolumesSection | NearSection
+"""What a case says of the images of one camera."""
 
 
 class DiscontinuitySection(Section):
@@ -543,8 +595,9 @@ class SolverSection(Section):
     each node (one a Q4, half a one a T3; `bench/cell_costs.py`). Whatever the split, subdomains are dealt to ranks in
     contiguous ranges whose largest work is the least possible."""
 
-    blocks: Annotated[tuple[Count, Count] | None, note(shape="[columns, rows]")] = None
-    """For `partition = "blocks"`: a regular array of blocks of the mesh's bounding box."""
+    blocks: Annotated[tuple[Count, ...] | None, Field(min_length=2, max_length=3), note(shape="[columns, rows]")] = None
+    """For `partition = "blocks"`: a regular array of blocks of the mesh's bounding box; of a volume [columns, rows,
+    planes]."""
 
     partition_file: Path | None = None
     """For `partition = "file"`: a text file with the subdomain of each cell, from 0 without gaps, in the mesh's order;
@@ -641,8 +694,7 @@ class StartSection(Section):
     the reference image."""
 
     points: Annotated[
-        tuple[tuple[Finite, Finite, Finite, Finite], ...] | None,
-        note(unit="px", shape="list of [x, y, x', y']")] = None
+        tuple[Match, ...] | None, note(unit="px", shape="list of [x, y, x', y']")] = None
     """The same from a few points: each in the reference image, then where it is in the deformed one. One says a
     translation, two a rotation with a scale, three an affine map, more what lies between them."""
 
@@ -781,7 +833,8 @@ class Case(Section):
     title: str = ""
     """Copied to the result and to the pictures."""
 
-    images: ImagesSection
+    images: ImagesSection | None = None
+    volumes: VolumesSection | None = None
     near: tuple[NearSection, ...] = ()
     mesh: MeshSection
     discontinuity: tuple[DiscontinuitySection, ...] = ()
@@ -795,7 +848,31 @@ class Case(Section):
     output: OutputSection = OutputSection()
     acquisition: AcquisitionSection = AcquisitionSection()
 
+    @property
+    def imaging(self) -> ImagesSection | VolumesSection:
+        """The section of the images, or of the volumes."""
+        imaging = self.images or self.volumes
+        if imaging is None:
+            raise ValueError("a case without images")
+        return imaging
+
+    @property
+    def imaging_name(self) -> str:
+        """What that section is called."""
+        return "images" if self.volumes is None else "volumes"
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return 2 if self.volumes is None else 3
+
     def _list_contradictions(self) -> Iterator[str]:
+        if (self.images is None) == (self.volumes is None):
+            yield "give [images], or [volumes] in their place"
+            return
+        yield from self._list_wrong_lengths()
+        if self.volumes is not None:
+            yield from self._list_refused_by_volumes()
         if len(self.discontinuity) > 1 and any(section.vertices is None for section in self.discontinuity):
             yield ("[[discontinuity]]: a section without vertices, whose line is looked for, has to be the "
                    "only one; give discontinuity.vertices of all")
@@ -817,6 +894,57 @@ class Case(Section):
             yield 'regularization.operator = "tikhonov" goes with [pgd]; use "equilibrium_gap"'
         if self.pgd is not None:
             yield from self._list_refused_by_pgd()
+
+    def _list_wrong_lengths(self) -> Iterator[str]:
+        """Coordinates of the wrong number."""
+        dim, meshed, regularization = self.dim, self.mesh.meshed, self.regularization
+        boxes = () if regularization is None else regularization.boxes
+        box = () if meshed is None or isinstance(meshed.region, ShapeSection) else meshed.region
+        given: dict[str, tuple[int, list[Sized]]] = {
+            f"{self.mesh.name}.region": (2 * dim, [box]),
+            "mesh.mapping.translation": (dim, [self.mesh.mapping.translation]),
+            "regularization.boxes": (2 * dim, list(boxes)),
+            "solver.blocks": (dim, [self.solver.blocks or ()]),
+            "start.points": (2 * dim, list(self.start.points or ())),
+            "images.masked": (2 * dim, [shape for shape in self.imaging.masked if not isinstance(shape, ShapeSection)]),
+        }
+        for key, (wanted, values) in given.items():
+            wrong = [len(value) for value in values if len(value) not in (0, wanted)]
+            if wrong:
+                yield f"{key}: {wrong[0]} numbers, {wanted} expected beside [{self.imaging_name}]"
+
+    def _list_refused_by_volumes(self) -> Iterator[str]:
+        """What has no meaning in a volume yet."""
+        meshed = self.mesh.meshed
+        section = RegularizationSection(eta=1.0) if self.regularization is None else self.regularization
+        refused = {
+            "[[near]]": (bool(self.near), "leave it out: a volume has no near fields"),
+            "[[discontinuity]]": (bool(self.discontinuity), "leave it out: elements are not cut by surfaces yet"),
+            "[pgd]": (self.pgd is not None, "leave it out: its functions are of x and of y"),
+            "[mesh.unstructured]": (self.mesh.unstructured is not None,
+                                    "give mesh.file, a mesh of Tet4 or Hex8 that gmsh or another program made"),
+            "mesh.structured.region": (meshed is not None and isinstance(meshed.region, ShapeSection),
+                                       "give a box, [x0, y0, z0, x1, y1, z1], or mesh.file"),
+            "mesh.structured.cell": (meshed is not None and "cell" in meshed.model_fields_set,
+                                     "leave it out: a box is meshed by Hex8"),
+            "mesh.structured.circles": (meshed is not None and bool(meshed.circles or meshed.polygons),
+                                        "give mesh.file, whose holes are meshed, or mesh.structured.mask"),
+            "mesh.structured.mask_outline": (self.mesh.structured is not None
+                                             and self.mesh.structured.mask_outline != "staircase", "leave it out"),
+            "mesh.mapping.rotation_degrees": (self.mesh.mapping.rotation_degrees != 0, "turn the mesh beforehand"),
+            "mesh.mapping.y_up": (self.mesh.mapping.y_up, "turn the mesh beforehand"),
+            "regularization.plane": ("plane" in section.model_fields_set, "leave it out"),
+            "regularization.young_ratio": (section.is_orthotropic, "give poisson_ratio: the material is isotropic"),
+            'regularization.operator = "tikhonov"': (section.operator == "tikhonov", 'use "equilibrium_gap"'),
+            "correlation.spline_degree = 5": (self.correlation.spline_degree == 5, "use 3"),
+            "output.flip_y": (self.output.flip_y, "leave it out: it would mirror the volume"),
+        }
+        for what, (is_given, remedy) in refused.items():
+            if is_given:
+                yield f"{what} does not go with [volumes]; {remedy}"
+        if section.poisson_ratio > MOST_IN_PLANE_STRAIN:
+            yield (f"regularization.poisson_ratio = {section.poisson_ratio:g}: in a volume no more than "
+                   f"{MOST_IN_PLANE_STRAIN:g} can be computed with")
 
     def _list_refused_by_composites(self, section: RegularizationSection) -> Iterator[str]:
         """What knows isotropic matter only, or axes along x and y."""

@@ -169,7 +169,7 @@ def check_case_file(path: Path) -> CheckReport:
         check_decodable(section, problems)
     problems.require_none()
     # It takes as long as to read the image, hence is not part of what a run checks.
-    image = open_image(loaded.case.images.reference)
+    image = open_image(loaded.case.imaging.reference)
     return describe_pattern(report, loaded, build_checked_mesh(loaded, image), find_pattern(image))
 
 
@@ -198,7 +198,7 @@ def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridL
     else:
         cell_size = measure_cell_size(mesh)
         n_bare = 0 if case.near else int(pattern.find_bare(mesh.centroids).sum())
-    frames = tuple(zip((path.name for path in list_deformed(case.images)), list_times(case), strict=True))
+    frames = tuple(zip((path.name for path in list_deformed(case.imaging)), list_times(case), strict=True))
     return replace(report, pattern=pattern.describe_elements(cell_size), n_bare_cells=n_bare,
                    frames=frames if loaded.is_series else ())
 
@@ -220,8 +220,8 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     case, problems = loaded.case, Problems()
     for line in list_unused_keys(case):
         warnings.warn(f"{loaded.path}: {line}", UserWarning, stacklevel=2)
-    if case.images.reference in list_deformed(case.images):
-        frame = f"frame {list_deformed(case.images).index(case.images.reference) + 1}" if loaded.is_series else "this"
+    if case.imaging.reference in list_deformed(case.imaging):
+        frame = f"frame {list_deformed(case.imaging).index(case.imaging.reference) + 1}" if loaded.is_series else "this"
         warnings.warn(f"{loaded.path}: images.deformed: {frame} is the reference image itself; name another one, or "
                       "narrow the pattern, where that is not meant", UserWarning, stacklevel=2)
     names = [f"{loaded.path}: images", *(f"{loaded.path}: near[{k}]" for k in range(len(case.near)))]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
 from ddic.case.named_files import list_deformed
-from ddic.case.schema import Case, ImagesSection, NearSection, Shape
+from ddic.case.schema import CameraSection, Case, ImagesSection, Shape
 from ddic.errors import InputError, Problems
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import (
@@ -60,7 +60,7 @@ LEAST_HALF_PROBE = 4
 """Least half side of that part, far-field pixels, however much a near image magnifies."""
 
 
-def check_images(images: ImagesSection | NearSection, name: str, problems: Problems) -> ImageSource | None:
+def check_images(images: CameraSection, name: str, problems: Problems) -> ImageSource | None:
     """Check a camera's images and masks, adding to ``problems``; returns the reference image, None if unreadable.
 
     ``name`` is what messages call the section, after its file.
@@ -97,7 +97,7 @@ def _check_other_image(path: Path, mask_path: Path | None, reference: ImageSourc
                              "give a pair of one size")
 
 
-def check_decodable(images: ImagesSection | NearSection, problems: Problems) -> None:
+def check_decodable(images: CameraSection, problems: Problems) -> None:
     """Check that the pixels of compressed images can be decoded, which takes as long as to read them.
 
     The images were found fit by ``check_images``; ``problems`` takes what is found.
@@ -153,7 +153,7 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh, cell_size: flo
     InputError where next to every pixel of the mesh is masked or saturated, where those that are left have one grey
     level, or where regularization.eta stands for a wavelength beyond what the mesh carries.
     """
-    images = case.images
+    images = case.imaging
     window = _bound(mesh.nodes).intersection(reference.extent)
     if images.reference_mask is not None or images.masked or images.exclude_saturated:
         usable = _find_usable(case, reference, mesh, window)
@@ -181,7 +181,7 @@ def _bound(points: Array) -> Window:
 
 def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
     """Pixels of a window that lie in the mesh and count."""
-    counted = exclude_from_reference(reference, case.images, hold_image).find_usable(window)
+    counted = exclude_from_reference(reference, case.imaging, hold_image).find_usable(window)
     covered = rasterize(mesh).find_covered(reference.extent)[window.y0:window.y1, window.x0:window.x1]
     return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
 

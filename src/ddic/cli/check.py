@@ -70,7 +70,7 @@ def _draw(case: Case, drawing: Path) -> None:
     from ddic.plots.partition import draw_mesh_preview
     from ddic.problem.region_mesh import list_discontinuities
 
-    reference = open_image(case.images.reference)
+    reference = open_image(case.imaging.reference)
     mesh = find_method(case).build_result_mesh(case, reference.extent)
     figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
     save_figure(figure, drawing)
@@ -91,5 +91,5 @@ def _draw_wrong(case_file: Path, drawing: Path) -> None:
         if loaded is not None:
             require_own_output(drawing, PICTURE, loaded.list_inputs())
             mesh = build_mesh_anywhere(loaded.case)
-            save_figure(draw_mesh_preview(mesh, read_preview(open_image(loaded.case.images.reference))), drawing)
+            save_figure(draw_mesh_preview(mesh, read_preview(open_image(loaded.case.imaging.reference))), drawing)
             click.echo(f"{'picture':<20}{drawing}")

@@ -26,7 +26,7 @@ def mesh(case_file: Path, output: Path) -> None:
         require_written_format(output)
         loaded = load_case(case_file)
         require_own_output(output, MESH, loaded.list_inputs())
-        image = open_image(loaded.case.images.reference)
+        image = open_image(loaded.case.imaging.reference)
         built, tying = build_meshes(loaded.case, image.extent)
         if tying is not None:
             raise InputError(f"{case_file}: near.mesh: meshes that do not match are not one that mesh.file could read; "

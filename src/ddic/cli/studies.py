@@ -170,7 +170,7 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     with failures_as_lines(folder):
         table, figure = _choose_outputs(case_file, folder, "uncertainty")
         case = load_case(case_file).case
-        image = open_image(case.images.reference)
+        image = open_image(case.imaging.reference)
         of_elements = _parse_numbers(sizes, "--sizes", "8,16,32")
         said = case.model_dump(include={"correlation", "regularization", "gauss_newton", "discontinuity"}, mode="json")
         sections = {name: values for name, values in said.items() if values}

@@ -85,8 +85,8 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
 
     Raises InputError where a file or a mapping cannot be read, or a mapping is none.
     """
-    far = exclude_from_reference(opener(case.images.reference), case.images, opener)
-    cameras = [make_first_camera(far, case.images.noise)]
+    far = exclude_from_reference(opener(case.imaging.reference), case.imaging, opener)
+    cameras = [make_first_camera(far, case.imaging.noise)]
     for number, section in enumerate(case.near, start=1):
         reference = exclude_from_reference(opener(section.reference), section, opener)
         try:

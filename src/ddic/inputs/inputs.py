@@ -95,7 +95,7 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.extent),
                     case_path=loaded.path, case_text=loaded.text,
-                    n_frames=len(list_deformed(case.images)))
+                    n_frames=len(list_deformed(case.imaging)))
     return inputs, open_frame(case, opener, number)
 
 
@@ -144,7 +144,7 @@ class FrameOpener:
     @property
     def n_frames(self) -> int:
         """Of the series."""
-        return len(list_deformed(self.inputs.case.images))
+        return len(list_deformed(self.inputs.case.imaging))
 
     def open(self, number: int) -> Frame:
         """Open a frame's images, one a camera; collective, raises InputError on all ranks where one cannot be read."""
@@ -165,7 +165,7 @@ class FrameOpener:
 
     def describe(self, number: int) -> str:
         """Describe a frame by the file of the far camera's image."""
-        return str(list_deformed(self.inputs.case.images)[number - 1])
+        return str(list_deformed(self.inputs.case.imaging)[number - 1])
 
 
 @dataclass(frozen=True)

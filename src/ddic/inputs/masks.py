@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.case.schema import ImagesSection, NearSection, Shape, ShapeSection
+from ddic.case.schema import CameraSection, Shape, ShapeSection
 from ddic.errors import InputError, Problems
 from ddic.images.grey_levels import find_saturation
 from ddic.images.source import ImageSource, SizedImage
@@ -19,7 +19,7 @@ Opener = Callable[[Path], ImageSource]
 """Opens an image file."""
 
 
-def exclude_masked(image: ImageSource, section: ImagesSection | NearSection, mask: Path | None, opener: Opener,
+def exclude_masked(image: ImageSource, section: CameraSection, mask: Path | None, opener: Opener,
                    shapes: Sequence[Shape] = ()) -> MaskedSource:
     """Leave out of one of a section's images what is saturated, if asked for, and what a mask and shapes hide."""
     saturated_from = None
@@ -29,7 +29,7 @@ def exclude_masked(image: ImageSource, section: ImagesSection | NearSection, mas
     return MaskedSource(image, draw_mask(shapes, image.extent, "masked", below), saturated_from)
 
 
-def exclude_from_reference(image: ImageSource, section: ImagesSection | NearSection, opener: Opener) -> MaskedSource:
+def exclude_from_reference(image: ImageSource, section: CameraSection, opener: Opener) -> MaskedSource:
     """The same of a section's reference image."""
     return exclude_masked(image, section, section.reference_mask, opener, section.masked)
 

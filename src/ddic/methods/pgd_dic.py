@@ -220,7 +220,7 @@ class SeparatedMeasurement:
     def verdict(self) -> Verdict:
         """Whether the displacement can be trusted."""
         residual = self.solution.grey.residual_std / (self.size.dynamic_range or 1.0)
-        evidence = self.cells.weigh(residual, may_be_saturated=self.inputs.case.images.exclude_saturated)
+        evidence = self.cells.weigh(residual, may_be_saturated=self.inputs.case.imaging.exclude_saturated)
         return choose_verdict(evidence, self.failure)
 
     @property
@@ -235,7 +235,7 @@ class SeparatedMeasurement:
             self._write_residual_image(writer)
 
     def _write_on_root(self, writer: ResultWriter) -> None:
-        _write_output_cells(writer, self.cells, self.solution.field, self.inputs.case.images)
+        _write_output_cells(writer, self.cells, self.solution.field, require_held(self.inputs.case.images))
         writer.write_separated(self.solution.field)
         writer.write_table(schema.CORRECTIONS, _list_corrections(self.solution.records))
         write_case(self, writer, {"largest_jump_px": 0.0, "stop": self.solution.stop})

@@ -69,7 +69,7 @@ def run_series(team: Team, loaded: LoadedCase, listener: Listener, *, resume: bo
     in the result.
     """
     began = time.perf_counter()
-    file, n_frames = loaded.case.output.file, len(list_deformed(loaded.case.images))
+    file, n_frames = loaded.case.output.file, len(list_deformed(loaded.case.imaging))
     folder = SeriesFolder(file, n_frames)
     origin = _describe_origin(loaded)
     texts = team.on_root(lambda: folder.begin(origin, resume=resume))

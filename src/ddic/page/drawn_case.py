@@ -172,12 +172,13 @@ def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ())
     text = read_text(case_file, "case file", "check the path")
     loaded, _ = load_text_leniently(text, case_file)
     if loaded is not None and not _is_drawn_on(loaded, image):
-        raise InputError(f"{image}: {case_file} has another reference image, {loaded.case.images.reference}; give that")
+        raise InputError(f"{image}: {case_file} has another reference image, {loaded.case.imaging.reference}; give "
+                         "that")
     return DrawnCase(case_file, text, ScreenImage(source), pattern, CaseRun(case_file))
 
 
 def _is_drawn_on(loaded: LoadedCase, image: Path) -> bool:
-    return loaded.case.images.reference == find_real_path(image.absolute())
+    return loaded.case.imaging.reference == find_real_path(image.absolute())
 
 
 class CaseFile:

@@ -148,7 +148,7 @@ BATCH_POINTS = 1 << 14
 
 def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     """Write the mesh and the fields of all subdomains; collective, the writer is rank 0's."""
-    team, images = measurement.team, measurement.inputs.case.images
+    team, images = measurement.team, measurement.inputs.case.imaging
     n_nodes = measurement.region.n_nodes
     drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
     counts = [PieceCounts(1, piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity)) for piece in drawn]
@@ -215,7 +215,7 @@ def _make_piece(measurement: Measurement, drawn: DrawnMesh, number: int, u: Arra
 
 def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Array) -> dict[str, NDArray[Any]]:
     """Fields at the points of an owned subdomain, given by its place, but for strains."""
-    pixel_size, uncertainty = measurement.inputs.case.images.pixel_size, measurement.uncertainty
+    pixel_size, uncertainty = measurement.inputs.case.imaging.pixel_size, measurement.uncertainty
     vectors = drawn.interpolate(u.reshape(-1, drawn.mesh.dim))
     data: dict[str, NDArray[Any]] = {
         schema.DISPLACEMENT: vectors,

@@ -277,7 +277,7 @@ def _collect_evidence(problem: WeightedProblem, seen: SeenFrame, evaluation: Eva
     is_torn = any(cells.state == SPOILT for cells in marked) and find_tear(problem.team, subdomains, seen.excluded)
     residual = evaluation.grey[0].residual_std / (problem.size.dynamic_range or 1.0)
     return Evidence(problem.reference.region.n_cells, n_doubtful, marked, seen.measure_shown_share(), is_torn, residual,
-                    may_be_saturated=problem.reference.inputs.case.images.exclude_saturated)
+                    may_be_saturated=problem.reference.inputs.case.imaging.exclude_saturated)
 
 
 def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field,

@@ -92,7 +92,7 @@ class Publishable(Protocol):
 def write_case(measured: Publishable, writer: ResultWriter, of_method: dict[str, Any]) -> None:
     """Write the case with what a method has to say beside it, and the times and units; on rank 0."""
     inputs, size = measured.inputs, measured.size
-    images = inputs.case.images
+    images = inputs.case.imaging
     writer.write_attributes(schema.CASE, {
         "path": str(inputs.case_path), "toml": inputs.case_text, "json": inputs.asked_case.model_dump_json(),
         "eta": size.eta, **of_method,

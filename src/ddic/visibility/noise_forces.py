@@ -322,8 +322,8 @@ def find_image_noise(problem: WeightedProblem, model: ResidualModel, evaluation:
         return ImageNoise(problem.noise, OF_RESIDUAL if given is None else GIVEN)
     if given is not None:
         return ImageNoise((given,), GIVEN)
-    if inputs.case.images.at_rest is not None:
-        return ImageNoise((_measure_at_rest(problem, inputs.case.images.at_rest),), OF_REST)
+    if inputs.case.imaging.at_rest is not None:
+        return ImageNoise((_measure_at_rest(problem, inputs.case.imaging.at_rest),), OF_REST)
     return ImageNoise((estimate_from_residual(model, evaluation, q, inputs.case.correlation.spline_degree),),
                       OF_RESIDUAL)
 
