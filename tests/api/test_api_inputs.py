@@ -144,7 +144,7 @@ def test_mask_of_a_structured_mesh_may_be_an_image() -> None:
     ({"discontinuity": "find"}, 'discontinuity = "find": write "detect", or [[discontinuity]] sections'),
     ({"discontinuity": {"vertices": []}}, "one section is given, a list of them expected: [[discontinuity]], or [{"),
     ({"kinematic": None}, 'kinematic: unknown argument; did you mean "kinematics"?'),
-    ({"options": {}}, "options: unknown argument; valid here: title, images, near, mesh, discontinuity"),
+    ({"options": {}}, "options: unknown argument; valid here: title, images, volumes, near, mesh, discontinuity"),
     ({"regularization": {"cutoff": 3}}, "regularization.cutoff: unknown key; valid here: cut_off_wavelength, eta"),
     ({"solver": {"subdomains": "4"}}, 'solver.subdomains = "4": expected a whole number'),
     ({"solver": {"subdomains": {1}}}, "a value of type set; give numbers, texts, lists and mappings"),

@@ -82,7 +82,7 @@ def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: py
     ("[output]\nfile = 3", "output.file = 3: expected a text in quotes"),
     ("[output]\nflip_y = 1", "output.flip_y = 1: expected true or false"),
     ("[regularization]\nboxes = [[1, 2, 3]]\neta = 1",
-     "regularization.boxes[0][3]: the list is too short: [1, 2, 3]"),
+     "regularization.boxes[0] = [1, 2, 3]: expected at least 4 items"),
     ("[regularization]\nboxes = [[1, 2, 3, inf]]\neta = 1",
      "regularization.boxes[0][3] = inf: expected a finite number"),
     ("[regularization]\nnot_controlled = [[]]\neta = 1",

@@ -45,7 +45,7 @@ def test_all_forms(tmp_path: Path, kind: str, text: str, box: tuple[float, ...])
 @pytest.mark.parametrize(("text", "line"), [
     ("", "region: this key is missing; it has no default"),
     ("region = 4", "region = 4: expected a list in square brackets"),
-    ("region = [1, 2, 3]", "region[3]: the list is too short: [1, 2, 3]"),
+    ("region = [1, 2, 3]", "region = [1, 2, 3]: expected at least 4 items"),
     ("region = { centre = [50, 40], radius = 30 }", 'region.centre: unknown key; did you mean "center"?'),
     ("region = { vertices = [[1, 2], [90, 4]] }", "region.vertices = [[1, 2], [90, 4]]: expected at least 3 items"),
     ("region = { vertices = [[1, 2], [90, 4], [nan, 8]] }",

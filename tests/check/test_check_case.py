@@ -66,7 +66,8 @@ def test_problems_of_all_inputs_at_once(folder: Path) -> None:
                       + '[regularization]\neta = 1\nnot_controlled = ["lefft"]\nboxes = [[1, 1, 2, 2]]\n'
                       + '[solver]\npartition = "file"\npartition_file = "parts.txt"\n'
                       + '[start]\nfrom_result = "old.vtkhdf"\n[output]\nfile = "none/r.vtkhdf"\n')
-    words = ["mask.tif: the mask is 99x80 px, but its image is 100x80 px", "case.toml: output.file: there is no folder",
+    words = ["mask.tif: the mask is 99 x 80 px, but its image is 100 x 80 px",
+             "case.toml: output.file: there is no folder",
              "old.vtkhdf", 'no node set is named "lefft"; did you mean "left"?', "regularization.boxes",
              "parts.txt: holds 3 numbers, but the mesh has 48 cells"]
     assert len(found) == len(words)
@@ -145,7 +146,7 @@ def test_mesh_file_and_mapping(folder: Path) -> None:
     report = _check(folder, text + "mapping = { scale = 40, translation = [20, 30] }\n")
     assert report.pixels_mean == 1600
     (line,) = _problems(folder, text + "mapping = { scale = 90 }\n")
-    assert "a.inp: the mesh lies outside the image: nodes from (0, 0) to (90, 90) px, image 100x80 px" in line
+    assert "a.inp: the mesh lies outside the image: nodes from (0, 0) to (90, 90) px, image 100 x 80 px" in line
 
 
 def test_structured_mesh_with_mask_and_holes(folder: Path) -> None:

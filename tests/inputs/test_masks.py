@@ -150,7 +150,7 @@ WRONG = {
     "[{ center = [96, 96], radius = 1e300 }]": "masked: the mask leaves 0 px of",
     "[[0, 0, 192, 191]]": "images.exclude_saturated: 0 px of the mesh are left to measure by",
     "[{ center = [10, 10] }]": "masked[0]: give either the vertices of a polygon, or center and radius of a circle",
-    "[[1, 2, 3]]": "masked[0][3]: the list is too short: [1, 2, 3]",
+    "[[1, 2, 3]]": "masked[0] = [1, 2, 3]: expected at least 4 items",
     "[3]": "masked[0] = 3: expected a list in square brackets",
 }
 

@@ -152,7 +152,7 @@ def test_a_result_of_another_place_is_refused(shared_path: Path) -> None:
     ("points = [[200, 200, 240, 190], [600, 20, 640, 10]]",
      "later_case.toml: start.points[1]: (600, 20) lies outside the reference image of 512 x 512 px"),
     ("points = [[20, 20, 60, 10]]", "later_case.toml: start.points: none of 1 points lies in the mesh"),
-    ("points = [[20, 20, 60]]", "later_case.toml: start.points[0][3]: the list is too short: [20, 20, 60]"),
+    ("points = [[20, 20, 60]]", "later_case.toml: start.points[0] = [20, 20, 60]: expected at least 4 items"),
     ("points = []", "start.points: the list is empty"),
     ('points = [[20, 20, 60, "a"]]', 'start.points[0][3] = "a": expected a number'),
     ('from_points = "none.csv"', "none.csv: cannot read this table of points"),

@@ -101,7 +101,8 @@ def sort_arguments(sections: Mapping[str, Any], *, mesh: Any = None, start: Any 
     for name, key, given in named:
         if given is not None:
             kept[name] = given if isinstance(given, Mapping) else {key: given}
-    images = {key: _take_out(kept, "images", key) for key in ("reference", "deformed")}
+    images = {key: _take_out(kept, "volumes" if "volumes" in kept else "images", key)
+              for key in ("reference", "deformed")}
     starts = [_take_from_memory(kept, "start", key) for key in ("from_result", "from_points")]
     if None not in starts:
         raise InputError("start.from_result and start.from_points: give one of them")
@@ -169,10 +170,11 @@ def load_given_case(source: object, place: Path, n_ranks: int, output: Path | No
     return loaded
 
 
-def make_case(sections: Mapping[str, Any]) -> Case:
+def make_case(sections: Mapping[str, Any], reference: Any = None) -> Case:
     """Make a case of sections; images and mesh are in memory where they name none.
 
-    Raises InputError with a line for each unknown key, wrong type and impossible value.
+    ``reference`` is the image, or volume, that was given; None for images. Raises InputError with a line for each
+    unknown key, wrong type and impossible value.
     """
     try:
         data: dict[str, Any] = convert_shorthand(json.loads(json.dumps(dict(sections), default=_plain)))
@@ -181,7 +183,10 @@ def make_case(sections: Mapping[str, Any]) -> Case:
     if "near" in data:
         raise InputError(f"{ARGUMENTS}: near fields need a case; measure a case file, or prepare one and measure its "
                          "frames")
-    return find_frames(convert_to_case(_complete(data), str(ARGUMENTS)), ARGUMENTS)
+    pixels = reference.pixels if isinstance(reference, Image) else reference
+    is_volume = "volumes" in data or (not isinstance(pixels, str | Path) and np.ndim(pixels) == 3)
+    imaging = "volumes" if is_volume else "images"
+    return find_frames(convert_to_case(_complete(data, imaging), str(ARGUMENTS)), ARGUMENTS)
 
 
 def is_mesh_named(sections: Mapping[str, Any]) -> bool:
@@ -190,12 +195,12 @@ def is_mesh_named(sections: Mapping[str, Any]) -> bool:
     return isinstance(section, Mapping) and bool({"file", "structured", "unstructured"} & set(section))
 
 
-def _complete(data: Mapping[str, Any]) -> dict[str, Any]:
+def _complete(data: Mapping[str, Any], imaging: str) -> dict[str, Any]:
     """Sections with names in place of the files that a case must name."""
-    images, mesh = data.get("images", {}), data.get("mesh", {})
+    images, mesh = data.get(imaging, {}), data.get("mesh", {})
     return {
         **data,
-        "images": {"reference": _IN_MEMORY, "deformed": _IN_MEMORY, **images} if isinstance(images, dict) else images,
+        imaging: {"reference": _IN_MEMORY, "deformed": _IN_MEMORY, **images} if isinstance(images, dict) else images,
         "mesh": mesh if is_mesh_named(data) or not isinstance(mesh, dict) else {"file": "mesh", **mesh},
     }
 
@@ -243,20 +248,20 @@ def make_image(given: ImageLike, section: CameraSection, mask: Path | None) -> I
     return given if isinstance(given, Image) else Image(given, mask, section.exclude_saturated, section.saturation)
 
 
-def open_given_image(team: Team, given: ImageLike, name: str, shapes: Sequence[Shape] = (), *,
+def open_given_image(team: Team, given: ImageLike, name: str, shapes: Sequence[Shape] = (), *, dim: int = 2,
                      keeps: bool = False) -> MaskedSource:
     """Open an image that the user gave, the same on all ranks; collective.
 
-    ``name`` is what messages call it, ``shapes`` are those of ``images.masked``. One that ``keeps`` is read after the
-    call that it was given to: an array, which the user may write into, is copied. Raises InputError on all ranks, where
-    it is no image, its mask is not as large, or a shape is none.
+    ``name`` is what messages call it, ``shapes`` are those of ``images.masked``, ``dim`` is 3 of a volume. One that
+    ``keeps`` is read after the call that it was given to: an array, which the user may write into, is copied. Raises
+    InputError on all ranks, where it is no image, its mask is not as large, or a shape is none.
     """
     image = given if isinstance(given, Image) else Image(given)
     pixels = image.pixels
     if isinstance(pixels, str | Path):
         source = open_on_all_ranks(team)(Path(pixels))
         return team.together(lambda: _leave_pixels_out(image, source, name, shapes))
-    in_memory = team.together(lambda: _hold_array(pixels, name, keeps=keeps))
+    in_memory = team.together(lambda: _hold_array(pixels, name, dim, keeps=keeps))
     masked = team.together(lambda: _leave_pixels_out(image, in_memory, name, shapes))
     _refuse_other_pixels(team, in_memory, name)
     return masked
@@ -270,10 +275,11 @@ def _refuse_other_pixels(team: Team, image: ArraySource, name: str) -> None:
                                        "or its file"))
 
 
-def _hold_array(pixels: Any, name: str, *, keeps: bool) -> ArraySource:
+def _hold_array(pixels: Any, name: str, dim: int, *, keeps: bool) -> ArraySource:
     values = _convert_to_pixels(pixels, name)
-    if values.ndim != 2:
-        raise InputError(f"{name}: an array of shape {values.shape}, (height, width) expected; convert colours to grey "
+    if values.ndim != dim:
+        expected = "(height, width)" if dim == 2 else "(depth, height, width)"
+        raise InputError(f"{name}: an array of shape {values.shape}, {expected} expected; convert colours to grey "
                          "levels first")
     if values.size == 0:
         raise InputError(f"{name}: an array of shape {values.shape} holds no pixel")
@@ -317,9 +323,9 @@ def _read_given_mask(mask: NDArray[Any] | str | Path, image: ImageSource, name: 
     if isinstance(mask, str | Path):
         return read_mask(Path(mask), image.extent)
     values = _convert_to_pixels(mask, f"{name}'s mask")
-    if values.shape != (image.height, image.width):
-        raise InputError(f"{name}: its mask has shape {values.shape}, the image ({image.height}, {image.width}); "
-                         "give one value for each pixel")
+    if values.shape != image.extent.shape:
+        raise InputError(f"{name}: its mask has shape {values.shape}, the image {image.extent.shape}; give one value "
+                         "for each pixel")
     return np.asarray(values != 0)
 
 
@@ -338,22 +344,25 @@ def _convert_to_pixels(given: Any, name: str) -> NDArray[Any]:
 _EXPECTED = "give one of ddic.structured_mesh or meshio, the arrays (nodes, cells), or a mesh file"
 
 
-def convert_given_mesh(given: MeshLike, mapping: Similarity) -> Mesh:
+def convert_given_mesh(given: MeshLike, mapping: Similarity, dim: int) -> Mesh:
     """Convert a mesh that the user gave to one in pixels, not yet repaired; ``mapping`` is from its units to these.
 
-    Raises InputError where it is no plane mesh of triangles and quadrilaterals.
+    Raises InputError where it is no plane mesh of triangles and quadrilaterals, or, where ``dim`` is 3, none of
+    tetrahedra and hexahedra.
     """
     if isinstance(given, tuple):
         if len(given) != 2:
             raise InputError(f"mesh: a tuple of {len(given)}, two arrays expected; {_EXPECTED}")
-        given = _from_arrays(*given)
+        given = _from_arrays(*given, dim)
     if isinstance(given, Mesh):
+        if given.dim != dim:
+            raise InputError(f"mesh: of {given.dim} dimensions, {dim} expected beside the images")
         if mapping == Similarity():
             # The nodes stay to the last digit.
             return given
         return replace(given, nodes=np.ascontiguousarray(mapping.to_pixels(given.nodes)), mapping=mapping)
     if _is_meshio_like(given):
-        return convert_mesh(given, "mesh", mapping)
+        return convert_mesh(given, "mesh", mapping, dim)
     raise InputError(f"mesh: {type(given).__name__} is no mesh; {_EXPECTED}")
 
 
@@ -364,13 +373,13 @@ def _is_meshio_like(given: Any) -> bool:
     return all(hasattr(block, "type") and hasattr(block, "data") for block in given.cells)
 
 
-def _from_arrays(given_nodes: Any, given_cells: Any) -> Mesh:
-    by_n_nodes = {kind.n_nodes: kind for kind in CELL_TYPES.values()}
+def _from_arrays(given_nodes: Any, given_cells: Any, dim: int) -> Mesh:
+    by_n_nodes = {kind.n_nodes: kind for kind in CELL_TYPES.values() if kind.dim == dim}
     widths = " or ".join(str(n) for n in sorted(by_n_nodes))
     nodes, cells = _convert_rows(given_nodes, "nodes"), _convert_rows(given_cells, "cells")
-    if nodes.ndim != 2 or nodes.shape[1] != 2 or nodes.dtype.kind not in "iuf":
-        raise InputError(f"mesh: nodes of shape {nodes.shape} and type {nodes.dtype}, numbers of shape (n_nodes, 2) "
-                         "expected: column and row of each, pixels")
+    if nodes.ndim != 2 or nodes.shape[1] != dim or nodes.dtype.kind not in "iuf":
+        raise InputError(f"mesh: nodes of shape {nodes.shape} and type {nodes.dtype}, numbers of shape (n_nodes, "
+                         f"{dim}) expected: column and row of each, pixels")
     if cells.ndim != 2 or cells.shape[1] not in by_n_nodes or cells.dtype.kind not in "iu":
         raise InputError(f"mesh: cells of shape {cells.shape} and type {cells.dtype}, whole numbers of shape (n_cells, "
                          f"{widths}) expected: the nodes of each cell, numbered from 0")
@@ -408,7 +417,8 @@ def _convert_start(given: Any, reference: MaskedSource) -> GivenStart:
     if not isinstance(given, tuple | list) or len(given) != 2:
         raise InputError(f"start: {type(given).__name__} given; give a result, or a pair (points, displacement) of "
                          "arrays (n, 2), pixels of the reference image")
-    points, displacement = _convert_numbers(given[0], "points"), _convert_numbers(given[1], "displacement")
+    dim = len(reference.extent.sizes)
+    points, displacement = _convert_numbers(given[0], "points", dim), _convert_numbers(given[1], "displacement", dim)
     if points.shape != displacement.shape:
         raise InputError(f"start: {len(points)} points and {len(displacement)} displacements; give one of each point")
     converted = StartPoints(points, displacement, "start")
@@ -416,12 +426,12 @@ def _convert_start(given: Any, reference: MaskedSource) -> GivenStart:
     return converted
 
 
-def _convert_numbers(given: Any, what: str) -> Array:
+def _convert_numbers(given: Any, what: str, dim: int) -> Array:
     try:
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"start: {what}: {error}; give an array (n, 2) of numbers, pixels") from error
-    if array.ndim != 2 or array.shape[1] != 2 or not len(array):
-        raise InputError(f"start: {what}: an array of shape {array.shape}, (n, 2) expected: x and y of each point, "
-                         "pixels")
+    if array.ndim != 2 or array.shape[1] != dim or not len(array):
+        raise InputError(f"start: {what}: an array of shape {array.shape}, (n, {dim}) expected: x and y of each "
+                         "point, pixels")
     return array

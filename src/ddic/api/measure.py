@@ -203,7 +203,7 @@ class Session:
         return deformed
 
     def _open_deformed(self, given: Any, camera: Camera, name: str) -> MaskedSource:
-        image = open_given_image(self._team, given, name)
+        image = open_given_image(self._team, given, name, dim=self._inputs.case.dim)
         self._team.together(lambda: _check_same_size(image, camera.reference, name))
         return replace(image, saturated_from=self._find_saturation(image, camera.reference))
 
@@ -227,8 +227,8 @@ class Session:
 def _check_same_size(image: MaskedSource, reference: MaskedSource, name: str) -> None:
     found, wanted = image.extent, reference.extent
     if found != wanted:
-        raise InputError(f"{name}: {found.width} x {found.height} px, but the reference image has {wanted.width} x "
-                         f"{wanted.height} px; give images of one size")
+        raise InputError(f"{name}: {found.describe()} px, but the reference image has {wanted.describe()} px; give "
+                         "images of one size")
 
 
 def measure(source: str | Path | Case | LoadedCase | Sequence[ImageLike] | None = None,
@@ -340,12 +340,12 @@ def _refuse_what_frames_are_given(given: Arguments) -> None:
 def _prepare(team: Team, source: Any, given: Arguments, n_frames: int, progress: bool) -> Session:
     """A session of a reference image for as many frames as are expected; collective."""
     # What the ranks were given is looked at by all together: it may be wrong on one of them alone.
-    loaded, mesh = team.together(lambda: _look(team, given))
+    loaded, mesh = team.together(lambda: _look(team, given, source))
     images = loaded.case.imaging
     # Of more frames than one some are measured after this call, by when the user may have written into arrays.
     keeps = n_frames > 1
     reference = open_given_image(team, make_image(source, images, images.reference_mask), "reference image",
-                                 images.masked, keeps=keeps)
+                                 images.masked, dim=loaded.case.dim, keeps=keeps)
     camera = make_first_camera(reference, images.noise)
     if keeps and is_line_wanted(loaded.case):
         # The first frame says where the line is, and the mesh waits for it.
@@ -364,9 +364,9 @@ def _prepare(team: Team, source: Any, given: Arguments, n_frames: int, progress:
                                 n_frames=n_frames), progress)
 
 
-def _look(team: Team, given: Arguments) -> tuple[LoadedCase, Mesh | None]:
+def _look(team: Team, given: Arguments, reference: Any) -> tuple[LoadedCase, Mesh | None]:
     """What was given beside images, looked at; free of communication."""
-    case = make_case(given.sections)
+    case = make_case(given.sections, reference)
     if given.mesh is None and not is_mesh_named(given.sections):
         raise InputError("mesh: none is given; ddic.structured_mesh makes one, meshio reads one (under mpirun give "
                          "it on every rank)")
@@ -377,7 +377,9 @@ def _look(team: Team, given: Arguments) -> tuple[LoadedCase, Mesh | None]:
     if team.is_root:
         for line in list_unused_keys(case):
             warnings.warn(f"{ARGUMENTS}: {line}", UserWarning, stacklevel=2)
-    return loaded, None if given.mesh is None else convert_given_mesh(given.mesh, convert_mapping(case.mesh.mapping))
+    if given.mesh is None:
+        return loaded, None
+    return loaded, convert_given_mesh(given.mesh, convert_mapping(case.mesh.mapping), case.dim)
 
 
 def _check_said_mesh(loaded: LoadedCase, reference: ImageSource, n_ranks: int) -> None:

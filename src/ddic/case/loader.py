@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ddic.case.named_files import find_frames, is_pattern, is_series, list_named_files
-from ddic.case.schema import Case, Location, find_section, list_sections
+from ddic.case.schema import NO_IMAGES, Case, Location, find_section, list_sections
 from ddic.errors import InputError, describe_nearest
 from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
 from ddic.io.text_files import parse_toml, read_text
@@ -48,8 +48,11 @@ KINDS = ("one", "several")
 def describe(error: ValidationError, data: Mapping[str, Any]) -> list[str]:
     """Say what is wrong with a parsed case file, a line per problem: key, value given, what is expected."""
     located = [(_remove_kinds(problem["loc"], data), problem) for problem in error.errors(include_url=False)]
-    return [_line(location, problem, data) for location, problem in located
-            if problem["type"] != TOO_SHORT or _is_too_short(_value_at(data, location), problem)]
+    lines = [_line(location, problem, data) for location, problem in located
+             if problem["type"] != TOO_SHORT or _is_too_short(_value_at(data, location), problem)]
+    # The schema, which takes one of two sections, is not asked where another one is wrong.
+    is_without_images = not {"images", "volumes"} & set(data) and NO_IMAGES not in lines
+    return [*([NO_IMAGES] if is_without_images else []), *lines]
 
 
 def _is_too_short(value: Any, problem: ErrorDetails) -> bool:
@@ -407,7 +410,7 @@ def list_unused_keys(case: Case) -> list[str]:
         ("start", ("independent",), 'solver.method = "dual"', is_never_dual and start.independent),
         ("output", ("independent_fields",), 'solver.method = "dual" and start.independent = true',
          case.output.independent_fields and not (method == "dual" and start.independent)),
-        ("images", ("noise",), "output.uncertainty = true, or [[near]], whose cameras it is weighed against",
+        (case.imaging_name, ("noise",), "output.uncertainty = true, or [[near]], whose cameras it is weighed against",
          not (case.near or case.output.uncertainty)),
     ]
     return [f"{name}.{key} changes nothing here: it goes with {partner}; leave it out"

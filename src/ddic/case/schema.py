@@ -827,6 +827,9 @@ class AcquisitionSection(Section):
     """Material, dimensions, and what loads it."""
 
 
+NO_IMAGES = "images: this section is missing; it has no default"
+
+
 class Case(Section):
     """A whole measurement."""
 
@@ -867,8 +870,11 @@ class Case(Section):
         return 2 if self.volumes is None else 3
 
     def _list_contradictions(self) -> Iterator[str]:
-        if (self.images is None) == (self.volumes is None):
-            yield "give [images], or [volumes] in their place"
+        if self.images is None and self.volumes is None:
+            yield NO_IMAGES
+            return
+        if self.images is not None and self.volumes is not None:
+            yield "[images] and [volumes] do not go together; leave one of them out"
             return
         yield from self._list_wrong_lengths()
         if self.volumes is not None:

@@ -100,7 +100,9 @@ def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:
 
 def make_first_camera(reference: MaskedSource, noise: float | None) -> Camera:
     """Make the camera whose pixels are the specimen's frame; ``noise`` is that of a picture, grey levels."""
-    return Camera(0, reference, _make_setup(identity(), reference, "none"), noise)
+    dim = len(reference.extent.sizes)
+    setup = _make_setup(identity(), reference, "none") if dim == 2 else CameraSetup(None, "none", np.zeros(dim), 1.0)
+    return Camera(0, reference, setup, noise)
 
 
 def open_frame(case: Case, opener: Opener, number: int = 0) -> Frame:
@@ -174,7 +176,7 @@ def _sees(camera: Camera, nodes: Array) -> BoolArray:
     """Whether nodes (n, 2), specimen's frame, lie in a near image, its margin left out, and in its region."""
     image = camera.reference.image
     try:
-        seen = camera.setup.mapping.to_image(nodes)
+        seen = camera.setup.to_image(nodes)
     except ValueError:
         # Beyond the horizon of the mapping.
         return np.zeros(len(nodes), dtype=bool)

@@ -279,7 +279,8 @@ def check_start_points(given: StartPoints, extent: Window) -> None:
         place = ", ".join(f"{coordinate:g}" for coordinate in given.points[number])
         raise InputError(f"{given.describe_point(number)}: ({place}) lies outside the reference image of "
                          f"{extent.describe()} px; give x (column) and y (row) in pixels")
-    lengths = np.linalg.norm(given.displacement, axis=1)
+    # Not by squares: what was meant as a number may be 1e308.
+    lengths = np.hypot.reduce(given.displacement, axis=1)
     farthest = int(lengths.argmax())
     if lengths[farthest] > np.linalg.norm(extent.sizes):
         raise InputError(f"{given.describe_point(farthest)}: moves by {lengths[farthest]:g} px, out of the image of "

@@ -77,8 +77,8 @@ class CameraSetup:
 
     Attributes
     ----------
-    mapping : CameraMapping
-        phi, from the specimen's frame to the camera's pixels.
+    phi : CameraMapping or None
+        From the specimen's frame to the camera's pixels; None where these are the specimen's frame.
     motion : MotionKind
         Which of alpha and theta are unknown.
     centre : (2,) array
@@ -88,10 +88,25 @@ class CameraSetup:
         pixels of the specimen's frame.
     """
 
-    mapping: CameraMapping
+    phi: CameraMapping | None
     motion: MotionKind
     centre: Array
     length: float
+
+    @property
+    def mapping(self) -> CameraMapping:
+        """Phi of a camera whose pixels are not the specimen's frame."""
+        if self.phi is None:
+            raise ValueError("a camera whose pixels are the specimen's frame")
+        return self.phi
+
+    def to_image(self, points: Array) -> Array:
+        """Map points, (n, dim), from the specimen's frame to the camera's pixels."""
+        return points if self.phi is None else self.phi.to_image(points)
+
+    def to_specimen(self, points: Array) -> Array:
+        """Map points, (n, dim), from the camera's pixels to the specimen's frame."""
+        return points if self.phi is None else self.phi.to_specimen(points)
 
     @property
     def n_motion_unknowns(self) -> int:
@@ -179,7 +194,7 @@ class CameraKinematics(Kinematics):
         first = self.field.n_unknowns
         motion = unknowns[first:first + self.setup.n_motion_unknowns]
         moved = self.setup.move(nodes + u.reshape(nodes.shape), motion)
-        return np.asarray(self.setup.mapping.to_image(moved) - self.mesh.nodes).ravel()
+        return np.asarray(self.setup.to_image(moved) - self.mesh.nodes).ravel()
 
     def fit(self, displacement: Array) -> Array:
         """Find the field's unknowns that explain a displacement in the image, the motion's being zero."""
@@ -193,7 +208,7 @@ class CameraKinematics(Kinematics):
         """
         nodes = self.field.mesh.nodes
         seen = self.mesh.nodes + displacement.reshape(nodes.shape)
-        points = self.setup.mapping.to_specimen(seen)
+        points = self.setup.to_specimen(seen)
         points = self.setup.move_back(points, motion[:self.setup.n_motion_unknowns])
         field_unknowns = self.field.fit(np.asarray(points - nodes).ravel())
         return np.concatenate([field_unknowns, motion])

@@ -216,5 +216,5 @@ def _move_kept(subdomain: Subdomain, setup: CameraSetup, motion: Array, looked_u
     moved = np.array(setup.move(subdomain.mesh.nodes + u, motion))
     if not known.all():
         in_image = evaluate_at_nodes(require_held(beyond), seen)[~known]
-        moved[~known] = setup.mapping.to_specimen(seen.nodes[~known] + in_image)
+        moved[~known] = setup.to_specimen(seen.nodes[~known] + in_image)
     return moved

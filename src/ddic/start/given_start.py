@@ -154,27 +154,27 @@ def place_start(given: GivenStart, region: Mesh, discontinuities: Discontinuitie
 
 
 def _place_points(given: StartPoints, mesh: Mesh, camera: Camera) -> PlacedStart:
-    mapping = camera.setup.mapping
+    setup = camera.setup
     if camera.number == 0:
         image = camera.reference.image
         check_start_points(given, image.extent)
         require_points_inside(given, mesh)
-    points = mapping.to_image(given.points)
-    found = interpolate_pairs(points, mapping.to_image(given.points + given.displacement) - points, mesh)
+    points = setup.to_image(given.points)
+    found = interpolate_pairs(points, setup.to_image(given.points + given.displacement) - points, mesh)
     notes = _note_pieces(found.n_pieces_without, "point")
     return PlacedStart(CutField(mesh, found.displacement), None, notes)
 
 
 def _place_result(given: EarlierResult, mesh: Mesh, camera: Camera) -> PlacedStart:
     setup = camera.setup
-    nodes, on_own_side = setup.mapping.to_specimen(mesh.nodes), setup.mapping.to_specimen(find_points_on_own_side(mesh))
+    nodes, on_own_side = setup.to_specimen(mesh.nodes), setup.to_specimen(find_points_on_own_side(mesh))
     values, known = given.evaluate(on_own_side, nodes)
     if not known.any():
         raise InputError(f"start.from_result: the mesh of {given.name} holds no node of this measurement's, or none "
                          "that was measured; give a result of the same specimen, in pixels of the same reference image")
     moved = setup.move(nodes[known] + values[known], given.get_motion(camera))
     displacement = np.zeros_like(mesh.nodes)
-    displacement[known] = setup.mapping.to_image(moved) - mesh.nodes[known]
+    displacement[known] = setup.to_image(moved) - mesh.nodes[known]
     if known.all():
         return PlacedStart(CutField(mesh, displacement), None, ())
     extended = extrapolate(mesh, displacement, known)
