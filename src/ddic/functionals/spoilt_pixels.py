@@ -1,7 +1,8 @@
 """Pixels of a cell whose residual neither noise nor brightness nor a displacement explains.
 
-A displacement that is wrong by e leaves a residual of mean square |grad f|^2 e^2 / 2. Where the residual about a pixel
-is that of more than a limit, something else is seen there: dirt, a reflection, what lies in front of the specimen.
+A displacement that is wrong by e leaves a residual of mean square |grad f|^2 e^2 / dim. Where the residual about a
+pixel is that of more than a limit, something else is seen there: dirt, a reflection, what lies in front of the
+specimen.
 
 Boxes of pixels about cells, cut out of both images.
 """
@@ -11,16 +12,19 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.functionals.correlation import Correlation, RowBand
 from ddic.functionals.view import FrameView
+from ddic.images.volume import find_slopes
 from ddic.images.window import Window
+from ddic.mesh.raster import list_pixels
 
-ABOUT = 5
-"""Side, pixels, of the square about a pixel over which the residual is averaged: single pixels of what hides the
-specimen may be as bright as it. A larger one finds weaker spots and loses more pixels about them."""
+ABOUT = {2: 5, 3: 3}
+"""Side, pixels, of the square, or cube, about a pixel over which the residual is averaged: single pixels of what hides
+the specimen may be as bright as it. A larger one finds weaker spots and loses more pixels about them."""
 
 BEYOND_NOISE = 4.0
 """Mean square of the residual about a pixel, relative to the noise's variance, from which on noise does not explain it:
@@ -48,11 +52,11 @@ class CellPatch:
 
     Attributes
     ----------
-    counts : (height, width) bool array
+    counts : bool array of the box's shape
         The cell's own pixels, where both images show them.
-    f, g : (height, width) array
+    f, g : array of the box's shape
         Grey levels, g displaced and corrected; anything where a pixel does not count.
-    energy : (height, width) array
+    energy : array of the box's shape
         |grad f|^2, (grey levels / px)^2.
     """
 
@@ -65,9 +69,9 @@ class CellPatch:
 def find_spoilt_pixels(patch: CellPatch, noise: float, limit: float, *, own_brightness: bool) -> BoolArray:
     """Find the spoilt pixels of a cell, and those close to them; none beside the cell.
 
-    True there, (height, width). ``noise`` is the variance of the residual where nothing is spoilt, grey levels squared,
-    ``limit`` the largest error of the displacement, pixels; ``own_brightness`` gives the cell a gain and an offset of
-    its own.
+    True there, an array of the box's shape. ``noise`` is the variance of the residual where nothing is spoilt, grey
+    levels squared, ``limit`` the largest error of the displacement, pixels; ``own_brightness`` gives the cell a gain
+    and an offset of its own.
     """
     if not patch.counts.any():
         return np.zeros(patch.counts.shape, dtype=bool)
@@ -81,14 +85,24 @@ def find_spoilt_pixels(patch: CellPatch, noise: float, limit: float, *, own_brig
     residual = _add_about(squared) / n
     weak = WEAK_SHARE * float(energy.sum()) / float(patch.counts.sum())
     texture = np.maximum(_add_about(energy) / n, max(weak, 1e-300))
-    spoilt = (residual > BEYOND_NOISE * noise) & (residual - noise > 0.5 * texture * limit**2) & patch.counts
-    reach = 2 * MARGIN + 1
-    return np.asarray(cv2.dilate(spoilt.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0) & patch.counts
+    is_off = residual - noise > texture * limit**2 / patch.counts.ndim
+    return _spread((residual > BEYOND_NOISE * noise) & is_off & patch.counts) & patch.counts
 
 
 def _add_about(values: Array) -> Array:
-    """Sums over the square about each pixel; nothing beyond the edge."""
-    return np.asarray(cv2.boxFilter(values, -1, (ABOUT, ABOUT), normalize=False, borderType=cv2.BORDER_CONSTANT))
+    """Sums over the square, or cube, about each pixel; nothing beyond the edge."""
+    side = ABOUT[values.ndim]
+    if values.ndim == 3:
+        return np.asarray(scipy.ndimage.convolve(values, np.ones((side,) * 3), mode="constant"))
+    return np.asarray(cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT))
+
+
+def _spread(spoilt: BoolArray) -> BoolArray:
+    """Add the pixels about the spoilt ones."""
+    reach = 2 * MARGIN + 1
+    if spoilt.ndim == 3:
+        return np.asarray(scipy.ndimage.binary_dilation(spoilt, np.ones((reach,) * 3)))
+    return np.asarray(cv2.dilate(spoilt.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0)
 
 
 def _fit_brightness(patch: CellPatch) -> tuple[float, float] | None:
@@ -126,23 +140,17 @@ def _cut_patch(correlation: Correlation, place: tuple[Window, BoolArray], residu
     """What is in a box, of which some pixels are the cell's; residual: f - g there, NaN on what does not count."""
     box, own = place
     image = correlation.reference.restrict(box)
-    r, f = residual.astype(np.float64), image.values.astype(np.float64)
+    r, f = residual.astype(np.float64), image.grey_levels.astype(np.float64)
     counts = own & np.isfinite(r)
     gain, offset = correction
     g = np.where(counts, gain * (f - r) + offset, 0.0)
-    return CellPatch(counts, f, g, (image.slopes.astype(np.float64)**2).sum(axis=0))
+    return CellPatch(counts, f, g, (find_slopes(image)**2).sum(axis=0))
 
 
 def _find_own_pixels(correlation: Correlation, cell: int) -> tuple[Window, BoolArray]:
     """The box about a cell's pixels, and which of those in the box are the cell's."""
-    raster = correlation.raster
-    runs = slice(raster.row_ptr[cell], raster.row_ptr[cell + 1])
-    # Rows at a tip may hold no pixel's centre, and lie beyond the window then.
-    filled = np.flatnonzero(raster.stops[runs] > raster.starts[runs])
-    starts, stops = (ends[runs][filled[0]:filled[-1] + 1] for ends in (raster.starts, raster.stops))
-    is_filled = stops > starts
-    x0, x1 = int(starts[is_filled].min()), int(stops[is_filled].max())
-    y0 = int(raster.first_row[cell] + filled[0])
-    columns = np.arange(x0, x1)
-    own = (columns >= starts[:, None]) & (columns < stops[:, None])
-    return Window((x0, y0), (x1, y0 + len(starts))), own
+    pixels, _ = list_pixels(correlation.raster, np.array([cell]))
+    box = Window.between(pixels.min(axis=0), pixels.max(axis=0) + 1)
+    own = np.zeros(box.shape, dtype=bool)
+    own[box.index(pixels)] = True
+    return box, own

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
 from ddic.functionals.pixel_kernels import N_SUMS, CellSums, PixelKernels, count_step, flatten
+from ddic.images import volume
 from ddic.images.spline import PADDING, GradientImage, SplineImage
-from ddic.images.volume import DEGREE
 from ddic.images.window import Window
 from ddic.kinematics.cell_interpolation import CellInterpolation
 from ddic.mesh.raster import Raster
@@ -53,8 +53,8 @@ FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "num
 INLINED = {**FLAGS, "_nrt": False, "forceinline": True}
 """Of what is called for every row: arrays live as long as the kernel, hence nobody need count who holds them."""
 
-DIFFERENCES = tuple(np.float32(number) for number in (4 / 5, -1 / 5, 4 / 105, -1 / 280))
-"""Weights of f(x + k) - f(x - k), k = 1 to 4: the derivative of a polynomial of degree 8 exactly."""
+DIFFERENCES = tuple(np.float32(weight) for weight in volume.DIFFERENCES)
+"""Weights of f(x + k) - f(x - k), k = 1 to 4."""
 
 AFFINE = 1e-11
 """A cell whose mixed terms are below this, relative to its linear ones, is affine but for rounding."""
@@ -814,7 +814,7 @@ def convert_reference(f: GradientImage) -> ReferenceVoxels:
 
 def convert_deformed(g: SplineImage, extent: Window) -> DeformedVoxels:
     """Convert a box of the deformed volume, ``extent`` being the whole one; its arrays are not copied."""
-    layout = _describe_layout(g.coefficients, g.window.grow(PADDING[DEGREE]))
+    layout = _describe_layout(g.coefficients, g.window.grow(PADDING[volume.DEGREE]))
     return DeformedVoxels(flatten(g.coefficients), *layout, g.scale, g.offset,
                           _NOTHING_EXCLUDED if g.usable is None else g.usable, np.array(g.window.lower),
                           np.array(extent.sizes))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -54,13 +55,13 @@ class ArraySource(SizedImage):
 
 @dataclass(frozen=True)
 class Blocks:
-    """Rows of blocks of an image.
+    """Rows of blocks of an image, planes of a volume.
 
     Attributes
     ----------
-    values : (rows, columns) array
+    values : (rows, columns) or (planes, rows, columns) array
         Mean grey levels.
-    usable : (rows, columns) array or None
+    usable : array of the same shape, or None
         1 where all pixels of a block count, else 0; None where nothing can be left out.
     """
 
@@ -69,30 +70,30 @@ class Blocks:
 
 
 def bin_image(source: MaskedSource, factor: int) -> MaskedSource:
-    """Average an image over square blocks, ``factor`` pixels a side; a block counts where all its pixels do.
+    """Average an image over square or cubic blocks, ``factor`` pixels a side; one counts where all its pixels do.
 
     Block (X, Y) is centred on x = factor X + (factor - 1) / 2, likewise y. The image is read in bands; pixels that fill
     no block are left out. The result is in memory, a pixel a block.
     """
-    return join_blocks(source, [bin_rows(source, factor, range(source.image.height // factor))])
+    return join_blocks(source, [bin_rows(source, factor, range(source.extent.sizes[-1] // factor))])
 
 
 def bin_rows(source: MaskedSource, factor: int, rows: range) -> Blocks:
-    """Average some rows of the blocks of ``bin_image``."""
-    width = source.image.width // factor * factor
-    return bin_window(source, factor, Window((0, rows.start * factor), (width, rows.stop * factor)))
+    """Average some rows, or planes, of the blocks of ``bin_image``."""
+    blocks = Window.of_size(*(size // factor for size in source.extent.sizes)).take_rows(rows.start, rows.stop)
+    return bin_window(source, factor, blocks.refine(factor))
 
 
 def bin_window(source: MaskedSource, factor: int, window: Window) -> Blocks:
     """Average a part of an image, of whole blocks, over these; the first of them begins where the part does."""
-    n_rows, width = window.height // factor, window.width // factor
-    values = np.zeros((n_rows, width), dtype=np.float32)
-    usable = np.ones((n_rows, width), dtype=np.float32)
-    anything_excluded = False
-    at_once = max(_BAND_PIXELS // (factor**2 * max(width, 1)), 1)
-    for first in range(0, n_rows if width else 0, at_once):
+    n_rows, *others = (size // factor for size in window.shape)
+    values = np.zeros((n_rows, *others), dtype=np.float32)
+    usable = np.ones((n_rows, *others), dtype=np.float32)
+    anything_excluded, n_across, begin = False, prod(others), window.lower[-1]
+    at_once = max(_BAND_PIXELS // (factor**len(window.sizes) * max(n_across, 1)), 1)
+    for first in range(0, n_rows if n_across else 0, at_once):
         band = slice(first, min(first + at_once, n_rows))
-        part = window.take_rows(window.y0 + band.start * factor, window.y0 + band.stop * factor)
+        part = window.take_rows(begin + band.start * factor, begin + band.stop * factor)
         values[band] = _means(source.image.read(part), factor)
         mask = source.find_usable(part)
         if mask is not None:
@@ -150,15 +151,16 @@ class BinnedSource(SizedImage):
     @cached_property
     def extent(self) -> Window:
         """The box of all blocks."""
-        image, side = self.pixels.image, self.factor * self.ratio
-        return Window.of_size(image.width // side, image.height // side)
+        side = self.factor * self.ratio
+        return Window.of_size(*(size // side for size in self.pixels.extent.sizes))
 
     def read(self, window: Window) -> NDArray[np.float32]:
         """Average the blocks of a window, inside the image."""
         wide = window.refine(self.ratio)
-        begin, end = np.clip((self.first_row, self.first_row + len(self.held.values)), wide.y0, wide.y1).tolist()
-        averaged = [self._average(wide.take_rows(wide.y0, begin)), self._look_up(wide.take_rows(begin, end)),
-                    self._average(wide.take_rows(end, wide.y1))]
+        first, last = wide.lower[-1], wide.upper[-1]
+        begin, end = np.clip((self.first_row, self.first_row + len(self.held.values)), first, last).tolist()
+        averaged = [self._average(wide.take_rows(first, begin)), self._look_up(wide.take_rows(begin, end)),
+                    self._average(wide.take_rows(end, last))]
         values = np.concatenate([rows for rows in averaged if len(rows)])
         if self.ratio == 1:
             return values
@@ -170,7 +172,8 @@ class BinnedSource(SizedImage):
 
     def _look_up(self, window: Window) -> NDArray[np.float32]:
         held = self._choose(self.held)
-        return held[window.y0 - self.first_row:window.y1 - self.first_row, window.x0:window.x1]
+        all_held = self.extent.refine(self.ratio).take_rows(self.first_row, self.first_row + len(held))
+        return held[all_held.locate(window)]
 
     def _choose(self, blocks: Blocks) -> NDArray[np.float32]:
         if not self.shows_mask:
@@ -187,6 +190,12 @@ def _finite(pixels: NDArray[Any]) -> NDArray[np.float32]:
 
 def _means(pixels: NDArray[Any], factor: int) -> NDArray[np.float32]:
     """Means over blocks; what is not finite counts as 0."""
+    if pixels.ndim == 3:
+        n_z, n_y, n_x = (size // factor for size in pixels.shape)
+        # The slowest axis first: fewer numbers are left for the others.
+        summed = _finite(pixels).reshape(n_z, factor, n_y * factor, n_x * factor).sum(axis=1)
+        summed = summed.reshape(n_z, n_y, factor, n_x * factor).sum(axis=2)
+        return np.asarray(summed.reshape(n_z, n_y, n_x, factor).sum(axis=3) / np.float32(factor**3))
     height, width = pixels.shape
     at_once = max(_CACHED_PIXELS // (factor * width), 1) * factor
     means = np.empty((height // factor, width // factor), dtype=np.float32)

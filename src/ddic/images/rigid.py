@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ddic.arrays import Array, BoolArray
+from ddic.arrays import Array, BoolArray, IntArray
 
 LEAST_OVERLAP = 0.5
 """Share of the region's pixels that a candidate translation must keep inside the deformed image. A larger one misses
@@ -32,22 +31,25 @@ class RigidShift:
 
     Attributes
     ----------
-    shift : (x, y)
-        Pixels.
+    shift : tuple of float
+        Along x, y, and z in a volume, pixels.
     coefficient : float
         Correlation coefficient of f and g there, 1 at most.
     n_alike : int
         Other translations, apart from this one, with nearly the same coefficient.
     """
 
-    shift: tuple[float, float]
+    shift: tuple[float, ...]
     coefficient: float
     n_alike: int = 0
 
+    def describe(self) -> str:
+        """Say how far it goes."""
+        return f"({', '.join(f'{along:.2f}' for along in self.shift)}) px"
+
     def scale(self, factor: float) -> RigidShift:
         """Scale the translation of binned images by ``factor``, to pixels of the images themselves."""
-        x, y = self.shift
-        return replace(self, shift=(factor * x, factor * y))
+        return replace(self, shift=tuple(factor * along for along in self.shift))
 
 
 def find_rigid_shift(f: Array, g: Array, region: BoolArray) -> RigidShift:
@@ -66,11 +68,11 @@ def _correlate_coefficients(f: Array, g: Array, weight: Array) -> Array:
     """Correlation coefficients of the region, where ``weight`` is 1 and f not 0, for all shifts; -1 where none is."""
     # Twice the size, or what leaves the image on one side would enter it on the other.
     shape = tuple(scipy.fft.next_fast_len(2 * n, real=True) for n in f.shape)
-    spectrum_of_weight, spectrum_of_f = (np.conj(scipy.fft.rfft2(a, shape)) for a in (weight, f))
-    spectrum_of_g = scipy.fft.rfft2(g, shape)
+    spectrum_of_weight, spectrum_of_f = (np.conj(scipy.fft.rfftn(a, shape)) for a in (weight, f))
+    spectrum_of_g = scipy.fft.rfftn(g, shape)
 
     def sum_products(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> Array:
-        return np.asarray(scipy.fft.irfft2(first * second, shape, overwrite_x=True))
+        return np.asarray(scipy.fft.irfftn(first * second, shape, overwrite_x=True))
 
     # Of the region's pixels that a shift keeps in the deformed image: number, sums, sums of squares, of products.
     n, f_sum, f_power = (_sum_kept(a, shape) for a in (weight, f, f**2))
@@ -78,7 +80,7 @@ def _correlate_coefficients(f: Array, g: Array, weight: Array) -> Array:
     g_sum = sum_products(spectrum_of_weight, spectrum_of_g)
     covariance = sum_products(spectrum_of_f, spectrum_of_g) - f_sum * g_sum / n_safe
     f_power -= f_sum**2 / n_safe
-    g_power = sum_products(spectrum_of_weight, scipy.fft.rfft2(g**2, shape)) - g_sum**2 / n_safe
+    g_power = sum_products(spectrum_of_weight, scipy.fft.rfftn(g**2, shape)) - g_sum**2 / n_safe
     floor = FLAT * max(float(f_power.max()), float(g_power.max()), _TINY)
     good = (n >= LEAST_OVERLAP * weight.sum()) & (f_power > floor) & (g_power > floor)
     return np.where(good, covariance / np.sqrt(np.where(good, f_power * g_power, 1.0)), -1.0)
@@ -86,9 +88,10 @@ def _correlate_coefficients(f: Array, g: Array, weight: Array) -> Array:
 
 def _sum_kept(values: Array, shape: tuple[int, ...]) -> Array:
     """Sums of the values at the pixels that a shift keeps in an image of the same size, for all shifts."""
-    # What a shift keeps is a rectangle, so that cumulative sums do, which take a fifth of three Fourier transforms.
-    by_row = _sum_kept_rows(values, shape[0])
-    return np.ascontiguousarray(_sum_kept_rows(by_row.T, shape[1]).T)
+    # What a shift keeps is a box, so that cumulative sums do, which take a fifth of three Fourier transforms.
+    for axis, n_shifts in enumerate(shape):
+        values = np.moveaxis(_sum_kept_rows(np.moveaxis(values, axis, 0), n_shifts), 0, axis)
+    return np.ascontiguousarray(values)
 
 
 def _sum_kept_rows(values: Array, n_shifts: int) -> Array:
@@ -96,22 +99,24 @@ def _sum_kept_rows(values: Array, n_shifts: int) -> Array:
     height = len(values)
     shifts = np.arange(n_shifts)
     shifts[shifts > n_shifts // 2] -= n_shifts
-    up_to = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    up_to = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     return np.asarray(up_to[np.clip(height - shifts, 0, height)] - up_to[np.clip(-shifts, 0, height)])
 
 
 def _find_peak(coefficient: Array) -> RigidShift:
     """The shift with the largest coefficient, refined along each axis; negative ones are at the array's ends."""
-    height, width = coefficient.shape
-    row, column = (int(k) for k in np.unravel_index(int(np.argmax(coefficient)), coefficient.shape))
-    shift_y = _wrap(row, height) + _vertex(coefficient[:, column], row)
-    shift_x = _wrap(column, width) + _vertex(coefficient[row], column)
-    best = float(coefficient[row, column])
+    shape = coefficient.shape
+    place = tuple(int(k) for k in np.unravel_index(int(np.argmax(coefficient)), shape))
+    shifts = []
+    for axis, (index, size) in enumerate(zip(place, shape, strict=True)):
+        line = np.moveaxis(coefficient, axis, -1)[place[:axis] + place[axis + 1:]]
+        shifts.append(_wrap(index, size) + _vertex(line, index))
+    best = float(coefficient[place])
     # In the middle, where no peak lies across the ends of the array.
-    centred = np.roll(coefficient > ALIKE * best, (height // 2 - row, width // 2 - column), axis=(0, 1))
-    n_pieces, _ = cv2.connectedComponents(centred.astype(np.uint8), connectivity=4)
-    n_alike = n_pieces - 2 if best > 0 else 0  # without the piece around the largest, and what is not alike
-    return RigidShift((shift_x, shift_y), best, n_alike)
+    to_middle = tuple(size // 2 - index for index, size in zip(place, shape, strict=True))
+    _, n_pieces = scipy.ndimage.label(np.roll(coefficient > ALIKE * best, to_middle, axis=tuple(range(len(shape)))))
+    n_alike = n_pieces - 1 if best > 0 else 0  # without the piece around the largest
+    return RigidShift(tuple(shifts[::-1]), best, n_alike)
 
 
 def _wrap(index: int, size: int) -> int:
@@ -134,37 +139,43 @@ class GridField:
 
     Attributes
     ----------
-    origin, spacing : (x, y)
-        Position of node [0, 0], and distances between neighbours, pixels.
-    values : (rows, columns, 2) array
+    origin, spacing : tuple of float
+        Position of the first node, and distances between neighbours, along x, y, and z in a volume, pixels.
+    values : (rows, columns, 2) or (planes, rows, columns, 3) array
         Displacement, pixels.
     """
 
-    origin: tuple[float, float]
-    spacing: tuple[float, float]
+    origin: tuple[float, ...]
+    spacing: tuple[float, ...]
     values: Array
 
     def at(self, points: Array) -> Array:
-        """Interpolate between the grid's nodes at points, (n, 2), pixels, bilinearly; constant beyond its edge."""
+        """Interpolate between the grid's nodes at points, (n, dim), pixels, linearly; constant beyond its edge."""
         # scipy.ndimage does the same, and takes more to import than most starts take to interpolate.
-        last = np.array(self.values.shape[1::-1]) - 1
+        dim = points.shape[1]
+        last = np.array(self.values.shape[:dim][::-1]) - 1
         place = np.clip((points - np.asarray(self.origin)) / np.asarray(self.spacing), 0, last)
         low = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
-        (left, top), (right, bottom) = low.T, np.minimum(low + 1, last).T
-        x, y = (place - low).T[:, :, None]
-        above = (1.0 - x) * self.values[top, left] + x * self.values[top, right]
-        below = (1.0 - x) * self.values[bottom, left] + x * self.values[bottom, right]
-        return np.asarray((1.0 - y) * above + y * below)
+        ends, shares = (low.T, np.minimum(low + 1, last).T), (place - low).T[:, :, None]
+
+        def interpolate(axis: int, *chosen: IntArray) -> Array:
+            if axis < 0:
+                return np.asarray(self.values[chosen])
+            before, after = (interpolate(axis - 1, *chosen, end[axis]) for end in ends)
+            return np.asarray((1.0 - shares[axis]) * before + shares[axis] * after)
+
+        return interpolate(dim - 1)
 
 
-def build_uniform_field(shift: tuple[float, float]) -> GridField:
+def build_uniform_field(shift: tuple[float, ...]) -> GridField:
     """Return a rigid translation, pixels, as a field of one node."""
-    return GridField((0.0, 0.0), (1.0, 1.0), np.array([[shift]], dtype=np.float64))
+    dim = len(shift)
+    return GridField((0.0,) * dim, (1.0,) * dim, np.array(shift, dtype=np.float64).reshape(*[1] * dim, dim))
 
 
 def fill_absent(values: Array) -> Array:
-    """Give places of a grid, (rows, columns, 2), that are nan the value of the nearest that is not, if there is any."""
-    absent = np.isnan(values).any(axis=2)
+    """Give places of a grid, (..., dim), that are nan the value of the nearest that is not, if there is any."""
+    absent = np.isnan(values).any(axis=-1)
     if not absent.any():
         return values
     nearest = scipy.ndimage.distance_transform_edt(absent, return_distances=False, return_indices=True)

@@ -86,6 +86,11 @@ class GradientImage:
     usable: NDArray[np.uint8] | None = None
     margin: int = 0
 
+    @property
+    def grey_levels(self) -> NDArray[Any]:
+        """Grey levels of the window alone."""
+        return self.values[self.window.grow(self.margin).locate(self.window)]
+
     def restrict(self, window: Window) -> GradientImage:
         """Look into a window inside it: the new arrays look into these; only what is excluded is copied."""
         inside = self.window.locate(window)

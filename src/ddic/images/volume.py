@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ddic.arrays import Array
 from ddic.images.source import ImageSource, fill_excluded, without_cross, without_neighbours
 from ddic.images.spline import PADDING, FindUsable, GradientImage, SplineImage
 from ddic.images.threads import ONE_THREAD, Threads
@@ -16,7 +17,10 @@ from ddic.vectors import WIDTH
 DEGREE = 3
 """Of the spline."""
 
-REACH = 4
+DIFFERENCES = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+"""Weights of f(x + k) - f(x - k), k = 1, 2, ...: the derivative of a polynomial of degree 8 exactly."""
+
+REACH = len(DIFFERENCES)
 """Voxels on either side of one that its gradient is taken from."""
 
 PLANES = 64
@@ -75,6 +79,22 @@ def read_coefficients(source: ImageSource, window: Window, find_usable: FindUsab
         inside = whole.grow(TAPS).locate(window)
         usable = without_neighbours(usable, reach, reach + 1)[inside].copy()
     return SplineImage(window, DEGREE, out, usable, scale, offset)
+
+
+def find_slopes(image: GradientImage) -> Array:
+    """Give the gradient of a window, (dim, ...), grey levels per pixel, which of a volume is taken from its values."""
+    if image.margin == 0:
+        return image.slopes.astype(np.float64)
+    values, dim = image.values.astype(np.float64), image.values.ndim
+    inside = image.window.grow(image.margin).locate(image.window)
+    slopes = np.zeros((dim, *image.window.shape))
+    for axis in range(dim):
+        for k, weight in enumerate(DIFFERENCES, start=1):
+            ahead, behind = (values[(*inside[:axis], slice(inside[axis].start + step, inside[axis].stop + step),
+                                     *inside[axis + 1:])] for step in (k, -k))
+            # Arrays have x last.
+            slopes[dim - 1 - axis] += weight * (ahead - behind)
+    return slopes
 
 
 def _read_box(source: ImageSource, box: Window,

@@ -11,7 +11,7 @@ from operator import ge, le, sub
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ddic.arrays import Array
+from ddic.arrays import Array, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +124,10 @@ class Window:
         if part.n_pixels == 0 or not self.contains(part):
             raise ValueError(f"{part} is empty or leaves the image of {self.describe()} pixels")
         return self.locate(part)
+
+    def index(self, pixels: IntArray) -> tuple[IntArray, ...]:
+        """Find pixels, (n, dim), columns before rows, in an array of this box: numbers along each of its axes."""
+        return tuple((pixels - self.lower).T[::-1])
 
     def contains(self, other: Window) -> bool:
         """Tell whether another box lies inside."""

@@ -24,7 +24,7 @@ from ddic.functionals.grey_statistics import GreySums
 from ddic.functionals.view import FrameView, View
 from ddic.images.spline import PADDING, SplineImage
 from ddic.images.window import Window
-from ddic.mesh.mesh import pad_cells
+from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.parallel.field import ByView
 
 Image = NDArray[np.float32]
@@ -79,7 +79,7 @@ class HeldCells:
     ----------
     cells : (n,) int64 array
         Their numbers.
-    shown_at : (n, 4, 2) array
+    shown_at : (n, n_monomials, dim) array
         Displacement of their corners (``pad_cells``) there, pixels of the view's image.
     """
 
@@ -87,12 +87,12 @@ class HeldCells:
     shown_at: Array
 
     @classmethod
-    def none(cls) -> Self:
-        """No cell is."""
-        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
+    def none(cls, mesh: Mesh) -> Self:
+        """No cell of a mesh is."""
+        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, mesh.n_monomials, mesh.dim)))
 
     def measure_away(self, view: View, q: Array) -> Array:
-        """Measure how far the corners are seen from where unknowns put them, (n, 4, 2), pixels."""
+        """Measure how far the corners are seen from where unknowns put them, pixels, as ``shown_at``."""
         mesh = view.correlation.mesh
         put = view.kinematics.displacement(q).reshape(mesh.nodes.shape)[pad_cells(mesh)[self.cells]]
         return np.asarray(self.shown_at - put)
@@ -112,7 +112,7 @@ class PulledView:
     ----------
     view, held : View, HeldCells
         The view, and these cells of it.
-    hessians : (n, 8, 8) array
+    hessians : (n, n_monomials dim, n_monomials dim) array
         M_e of each, grey levels squared per pixel squared.
     """
 
@@ -165,6 +165,9 @@ def find_cells_beside(view: FrameView, q: Array, cells: IntArray, noise: float) 
     """
     correlation = view.correlation
     mesh = correlation.mesh
+    if mesh.dim == 3:
+        # OpenCV, which looks for them, knows images only.
+        return {}
     moved = mesh.nodes + view.kinematics.displacement(q).reshape(mesh.nodes.shape)
     found = {}
     for cell, corners in zip(cells.tolist(), pad_cells(mesh)[cells], strict=True):

@@ -21,12 +21,13 @@ from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 
-CELL = 16
-"""Side of the grid's cells, blocks. A larger value gives smoother fields, found more surely."""
+CELLS = {2: 16, 3: 8}
+"""Side of the grid's cells, blocks, by the number of dimensions. A larger value gives smoother fields, found more
+surely."""
 
-LARGEST_COARSE_IMAGE = 1_000_000
+LARGEST_COARSE_IMAGE = {2: 1_000_000, 3: 4_000_000}
 """Pixels of the finest image of the pyramid: what one rank is asked to hold and correlate. A larger value gives a
-better start later."""
+better start later. A volume of as many has fewer cells along its sides."""
 
 LARGEST_FFT_IMAGE = 500_000
 """Most blocks of the image in which a rigid translation is sought. A larger value takes longer."""
@@ -39,8 +40,8 @@ ENOUGH_BLOCKS = 2000
 """Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
 samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
 
-SMALLEST_SIDE = 1.5 * CELL
-"""Least side of the region on the coarsest level, blocks: there the grid is hardly more than an affine map. A larger
+SMALLEST_SIDE = 1.5
+"""Least side of the region on the coarsest level, cells: there the grid is hardly more than an affine map. A larger
 value leaves out coarse levels."""
 
 COARSEST = 64
@@ -58,7 +59,7 @@ thirds beside what the translation takes. A larger value finds larger motions, i
 
 @dataclass(frozen=True)
 class BinnedPair:
-    """An image pair binned over blocks of factor x factor pixels; blocks are the unit of meshes on it.
+    """An image pair binned over blocks, ``factor`` pixels a side; blocks are the unit of meshes on it.
 
     Attributes
     ----------
@@ -77,8 +78,18 @@ class BinnedPair:
 
     @property
     def size(self) -> IntArray:
-        """Width and height of both images, blocks."""
-        return np.array([self.reference.image.width, self.reference.image.height])
+        """Sizes of both images along x, y, and z in a volume, blocks."""
+        return np.array(self.reference.extent.sizes)
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return len(self.reference.extent.sizes)
+
+    @property
+    def cell(self) -> int:
+        """Side of the cells of grids on it, blocks."""
+        return CELLS[self.dim]
 
     @property
     def centre(self) -> float:
@@ -97,7 +108,7 @@ class BinnedPair:
     def find_active(self, mesh: Mesh, window: Window | None = None) -> NDArray[np.uint8]:
         """Mark the blocks of a window, or all, whose centre lies in a mesh, itself in blocks, and that are not masked.
 
-        Returns 1 on active blocks, 0 elsewhere, (rows, columns).
+        Returns 1 on active blocks, 0 elsewhere, an array of the window's shape.
         """
         window = self.reference.extent if window is None else window
         covered = rasterize(mesh).draw_cells(np.arange(mesh.n_cells), window)
@@ -117,12 +128,12 @@ class BinnedPair:
     def can_bin_finer(self, mesh: Mesh) -> bool:
         """Tell whether the surroundings of a region, blocks being pixels, are so small that they have finer levels."""
         of_part = self._find_extent(mesh)
-        return find_finest_level(int(of_part.prod())) < find_finest_level(int(self.size.prod()))
+        return find_finest_level(of_part) < find_finest_level(self.size)
 
     def bin_surroundings(self, mesh: Mesh, translation: Array) -> Surroundings:
-        """Bin what surrounds a region, moved by about ``translation``, (2,), pixels, as finely as its size allows."""
+        """Bin what surrounds a region, moved by about ``translation``, (dim,), pixels, as finely as its size allows."""
         extent = self._find_extent(mesh)
-        factor = choose_finest_block(int(extent.prod()))
+        factor = choose_finest_block(extent)
         extent -= extent % factor
         middle = (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0)) / 2
         origin, moved = (np.clip(np.rint(place - extent / 2).astype(int), 0, self.size - extent)
@@ -133,7 +144,7 @@ class BinnedPair:
                             (moved - origin).astype(float))
 
     def _find_extent(self, mesh: Mesh) -> IntArray:
-        """Width and height of what is seen around a region, pixels."""
+        """Sizes of what is seen around a region, pixels."""
         sides = np.ptp(mesh.nodes, axis=0)
         return np.minimum(np.ceil(sides + 2 * MARGIN * sides.max()).astype(int), self.size)
 
@@ -146,7 +157,7 @@ class Surroundings:
     ----------
     pair : BinnedPair
         The parts, positions counted from where each begins.
-    origin, translation : (2,) array
+    origin, translation : (dim,) array
         Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
     """
 
@@ -156,14 +167,14 @@ class Surroundings:
 
     def describe(self) -> str:
         """Say for the log what is looked at."""
-        x, y = self.origin
-        width, height = self.pair.size * self.pair.factor
-        return (f"start: the region and what surrounds it, {width} x {height} px from ({x:.0f}, {y:.0f}) px on, in "
-                f"blocks of {self.pair.factor} px")
+        sizes = " x ".join(map(str, (self.pair.size * self.pair.factor).tolist()))
+        origin = ", ".join(f"{place:.0f}" for place in self.origin)
+        return (f"start: the region and what surrounds it, {sizes} px from ({origin}) px on, in blocks of "
+                f"{self.pair.factor} px")
 
 
 def move_mesh(mesh: Mesh, vector: Array) -> Mesh:
-    """Give a mesh, perhaps cut, at another place: moved by ``vector``, (2,), pixels."""
+    """Give a mesh, perhaps cut, at another place: moved by ``vector``, (dim,), pixels."""
     return _map_mesh(mesh, 1, vector)
 
 
@@ -179,7 +190,7 @@ def _map_mesh(mesh: Mesh, factor: int, origin: float | Array) -> Mesh:
 
 @dataclass(frozen=True)
 class BlockGrid:
-    """Square cells that hold active blocks, within a regular grid.
+    """Square or cubic cells that hold active blocks, within a regular grid.
 
     Attributes
     ----------
@@ -196,62 +207,68 @@ class BlockGrid:
     numbers: IntArray
 
     def place_on_grid(self, displacement: Array) -> Array:
-        """Write displacements of the cells' nodes, (mesh.n_dofs,), on the full grid, (rows, columns, 2), else nan."""
-        values = np.full((len(self.lines.y), len(self.lines.x), 2), np.nan)
-        values.reshape(-1, 2)[self.numbers] = displacement.reshape(-1, 2)
+        """Write displacements of the cells' nodes, (mesh.n_dofs,), on the full grid, nan where there is no cell."""
+        values = np.full(find_grid_shape(self.lines), np.nan)
+        dim = self.lines.dim
+        values.reshape(-1, dim)[self.numbers] = displacement.reshape(-1, dim)
         return values
 
 
+def find_grid_shape(lines: GridLines) -> tuple[int, ...]:
+    """Find the shape of displacements on a grid: (rows, columns, 2), or (planes, rows, columns, 3)."""
+    return (*map(len, lines.lines[::-1]), lines.dim)
+
+
 def choose_grid_lines(region: Mesh, pair: BinnedPair) -> GridLines:
-    """Choose the lines of a grid of cells with a side of about ``CELL`` blocks over a region, which is in blocks."""
+    """Choose the lines of a grid of cells with a side of about ``pair.cell`` blocks over a region in blocks."""
     # Pixels that fill no block may lie beyond the last one's edge.
     low, high = np.maximum(region.nodes.min(axis=0), -0.5), np.minimum(region.nodes.max(axis=0), pair.size - 0.5)
-    n_columns, n_rows = np.maximum(np.round((high - low) / CELL).astype(int), 1)
-    return GridLines((np.linspace(low[0], high[0], n_columns + 1), np.linspace(low[1], high[1], n_rows + 1)))
+    n_along = np.maximum(np.round((high - low) / pair.cell).astype(int), 1)
+    return GridLines(tuple(np.linspace(first, last, n + 1) for first, last, n in zip(low, high, n_along, strict=True)))
 
 
 def build_grid(lines: GridLines, active: NDArray[np.uint8], window: Window) -> BlockGrid:
-    """Build a grid without the cells that have no block of ``active``, (rows, columns), 1 on those that count."""
+    """Build a grid without the cells that have no block of ``active``, which is 1 on those of the window that count."""
     full = lines.build_mesh()
     n_active = rasterize(full).sum_by_cell(active, window)
     return BlockGrid(lines, *full.create_submesh(np.flatnonzero(n_active > 0)))
 
 
 def make_grid_field(lines: GridLines, values: Array, pair: BinnedPair) -> GridField:
-    """Make a field, pixels, of displacements on the full grid, (rows, columns, 2), blocks; nan as the nearest node."""
-    x0, y0 = (float(line[0]) * pair.factor + pair.centre for line in (lines.x, lines.y))
-    step_x, step_y = (float(np.ptp(line)) / (len(line) - 1) * pair.factor for line in (lines.x, lines.y))
-    return GridField((x0, y0), (step_x, step_y), fill_absent(values * pair.factor))
+    """Make a field, pixels, of displacements on the full grid, blocks; nan as the nearest node."""
+    origin = tuple(float(line[0]) * pair.factor + pair.centre for line in lines.lines)
+    steps = tuple(float(np.ptp(line)) / (len(line) - 1) * pair.factor for line in lines.lines)
+    return GridField(origin, steps, fill_absent(values * pair.factor))
 
 
-def choose_finest_block(n_pixels: int) -> int:
-    """Find the side of the smallest blocks that the start looks at, pixels, in an image of ``n_pixels``."""
-    return 1 if n_pixels <= LARGEST_FFT_IMAGE else find_finest_level(n_pixels)
+def choose_finest_block(size: IntArray | tuple[int, ...]) -> int:
+    """Find the side of the smallest blocks that the start looks at, pixels, in an image of a size along each axis."""
+    return 1 if np.prod(size) <= LARGEST_FFT_IMAGE else find_finest_level(size)
 
 
-def choose_held_block(n_pixels: int) -> int:
+def choose_held_block(size: IntArray | tuple[int, ...]) -> int:
     """Find the side of the smallest blocks of all levels, of those too that several ranks go on to, pixels."""
-    return min(choose_finest_block(n_pixels), FINEST)
+    return min(choose_finest_block(size), FINEST)
 
 
-def find_finest_level(n_pixels: int) -> int:
-    """Find the side of the smallest blocks of the pyramid, pixels, in an image of ``n_pixels``."""
-    finest = 2
-    while n_pixels / finest**2 > LARGEST_COARSE_IMAGE:
+def find_finest_level(size: IntArray | tuple[int, ...]) -> int:
+    """Find the side of the smallest blocks of the pyramid, pixels, in an image of a size along each axis."""
+    finest, dim = 2, len(size)
+    while np.prod(size) / finest**dim > LARGEST_COARSE_IMAGE[dim]:
         finest *= 2
     return finest
 
 
-def choose_block_sizes(n_pixels: int, mesh: Mesh) -> list[int]:
-    """Choose the block sizes of the pyramid's levels, pixels, coarsest first, in an image of ``n_pixels``.
+def choose_block_sizes(size: IntArray | tuple[int, ...], mesh: Mesh) -> list[int]:
+    """Choose the block sizes of the pyramid's levels, pixels, coarsest first, in an image of a size along each axis.
 
     There are none where the region of the whole mesh, pixels, is smaller than a cell of each.
     """
-    side = float(np.ptp(mesh.nodes, axis=0).min())
-    sizes = [find_finest_level(n_pixels)]
-    while sizes[-1] < COARSEST and side / (2 * sizes[-1]) >= SMALLEST_SIDE:
+    n_cells = float(np.ptp(mesh.nodes, axis=0).min()) / CELLS[mesh.dim]
+    sizes = [find_finest_level(size)]
+    while sizes[-1] < COARSEST and n_cells / (2 * sizes[-1]) >= SMALLEST_SIDE:
         sizes.append(2 * sizes[-1])
-    return [size for size in reversed(sizes) if side / size >= CELL]
+    return [of_level for of_level in reversed(sizes) if n_cells / of_level >= 1]
 
 
 def choose_further_block_sizes(sizes: list[int]) -> list[int]:
@@ -262,15 +279,15 @@ def choose_further_block_sizes(sizes: list[int]) -> list[int]:
     return all_sizes[len(sizes):]
 
 
-def choose_rigid_block(n_pixels: int, mesh: Mesh) -> int:
+def choose_rigid_block(size: IntArray | tuple[int, ...], mesh: Mesh) -> int:
     """Choose the side of the blocks, pixels, in which a rigid translation of the whole mesh is sought."""
     region = float(np.prod(np.ptp(mesh.nodes, axis=0)))
-    size = 1
+    side = 1
     while True:
-        n_blocks = n_pixels / size**2
-        n_larger_blocks_of_region = region / (2 * size) ** 2
+        n_blocks = np.prod(size) / side**mesh.dim
+        n_larger_blocks_of_region = region / (2 * side) ** mesh.dim
         is_too_large = n_blocks > LARGEST_FFT_IMAGE
         is_more_than_enough = n_blocks > ENOUGH_FFT_IMAGE and n_larger_blocks_of_region >= ENOUGH_BLOCKS
         if not (is_too_large or is_more_than_enough):
-            return size
-        size *= 2
+            return side
+        side *= 2

@@ -90,8 +90,8 @@ class CoarseSearch:
     def _hold_band(self, camera: Camera, deformed: MaskedSource) -> PairOfRank:
         """Rows of both images, in the smallest blocks that the start looks at."""
         image = camera.reference.image
-        factor = choose_held_block(image.width * image.height)
-        rows_of_ranks = split_rows(image.height // factor, self.team.size)
+        factor = choose_held_block(image.extent.sizes)
+        rows_of_ranks = split_rows(image.extent.sizes[-1] // factor, self.team.size)
         return hold_rows(camera.reference, deformed, factor, rows_of_ranks[self.team.rank])
 
     def require_result(self) -> EarlierResult:
@@ -122,7 +122,7 @@ class CoarseSearch:
             elif pyramid is not None:
                 found.append(find_multilevel_start(pyramid, self.section))
             else:
-                found.append(MultilevelStart(build_uniform_field((0.0, 0.0))))
+                found.append(MultilevelStart(build_uniform_field((0.0,) * mesh.dim)))
         return found
 
     def _start_from(self, given: GivenStart, placed: PlacedStart, pyramid: Pyramid | None) -> MultilevelStart:

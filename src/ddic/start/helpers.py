@@ -88,7 +88,7 @@ class Helpers:
     def read_whole(self, size: int) -> BinnedPair:
         """Read the images as a whole in blocks of ``size`` pixels into memory, each rank some of their rows."""
         pair = self.get_pair(size)
-        rows_of_ranks = split_rows(int(pair.size[1]), self.workers.team.size)
+        rows_of_ranks = split_rows(int(pair.size[-1]), self.workers.team.size)
         bands = self.apply(_read_rows, [(size, rows) for rows in rows_of_ranks])
         reference, deformed = (join_blocks(source, [of_band[k] for of_band in bands])
                                for k, source in enumerate((pair.reference, pair.deformed)))

@@ -119,13 +119,13 @@ class Images:
     ----------
     reference, deformed : MaskedSource
         The images; their pixels are the unit of length.
-    active : (rows, columns) array of uint8
+    active : array of uint8
         1 on the pixels of a part of the reference image that count, 0 on others.
     degree : int
         Of the spline between pixels.
     correction : GreyCorrection
         Of grey levels.
-    origin : (x, y)
+    origin : tuple of int, optional
         The first pixel of that part. Pixels outside of it do not count.
     """
 
@@ -134,11 +134,13 @@ class Images:
     active: NDArray[np.uint8]
     degree: int
     correction: GreyCorrection
-    origin: tuple[int, int] = (0, 0)
+    origin: tuple[int, ...] | None = None
 
     def find_active(self, window: Window) -> NDArray[np.uint8]:
         """Tell which pixels of a window count, 1, and which do not, 0."""
-        part = Window.between(self.origin, np.add(self.origin, self.active.shape[::-1]))
+        part = Window.of_size(*self.active.shape[::-1])
+        if self.origin is not None:
+            part = Window.between(self.origin, np.add(self.origin, part.sizes))
         common = window.intersection(part)
         found = np.zeros(window.shape, np.uint8)
         found[window.locate(common)] = self.active[part.locate(common)]
@@ -183,7 +185,7 @@ def _read(images: Images, cells: LevelMesh) -> ResidualModel:
 def _regularize(subdomain: Subdomain, view: View, cut_off: float) -> LocalSystem:
     """M and Kbar of the cells, with the weight of a cut-off wavelength; the edge counts little."""
     of_nodes = view.assemble_hessian()
-    material = Material()
+    material = Material.default(subdomain.mesh.dim)
     energies = measure_gap_energies(subdomain.mesh, material, subdomain.interior, cut_off)
     waves = ProbeWaves(cut_off, energies, material.axes)
     eta = 0.0

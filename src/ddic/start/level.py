@@ -6,6 +6,7 @@ that nothing farther off matters, and tiles need not know of each other.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -20,14 +21,20 @@ from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.solvers.correction_size import Tolerances
 from ddic.solvers.gauss_newton import Report, stay_silent
-from ddic.start.binned_pair import CELL, BinnedPair, BlockGrid, build_grid, choose_grid_lines, make_grid_field
+from ddic.start.binned_pair import (
+    BinnedPair,
+    BlockGrid,
+    build_grid,
+    choose_grid_lines,
+    find_grid_shape,
+    make_grid_field,
+)
 from ddic.start.coarse_displacement import CoarseField, CutField, LevelMesh, cut_level, evaluate_at_nodes
 from ddic.start.helpers import Helpers, PairOfRank
 from ddic.start.independent import Images, correlate_alone
 
-CUT_OFF = 4.0 * CELL
-"""Cut-off wavelength of a level, blocks. A larger value finds smoother fields, and strays less where texture is
-poor."""
+CUT_OFF = 4.0
+"""Cut-off wavelength of a level, cells. A larger value finds smoother fields, and strays less where texture is poor."""
 
 DEGREE = 3
 """Of the splines between blocks."""
@@ -63,7 +70,7 @@ def correlate_level(pair: BinnedPair, mesh: Mesh, starts: Sequence[CoarseField],
     grid, cells, images = _open_level(pair, region, lines, pair.reference.extent, discontinuities, correction)
     in_pixels = pair.scale_to_pixels(cells.mesh)
     candidates = [evaluate_at_nodes(start, in_pixels).ravel() / pair.factor for start in starts]
-    displacement = _correlate(images, cells, candidates, pair.factor, report)
+    displacement = _correlate(images, cells, candidates, pair, report)
     if cells.mesh.parts is None:
         return make_grid_field(lines, grid.place_on_grid(displacement), pair)
     return CutField(in_pixels, displacement.reshape(in_pixels.nodes.shape) * pair.factor)
@@ -77,15 +84,15 @@ def _open_level(pair: BinnedPair, region: Mesh, lines: GridLines, window: Window
         raise SingularSubdomainError("no block of the region is usable: everything is masked")
     grid = build_grid(lines, active, window)
     cells = cut_level(grid.mesh, discontinuities.scale(pair.centre, pair.factor), active, DEGREE)
-    images = Images(pair.reference, pair.deformed, active, DEGREE, correction, (window.x0, window.y0))
+    images = Images(pair.reference, pair.deformed, active, DEGREE, correction, window.lower)
     return grid, cells, images
 
 
-def _correlate(images: Images, cells: LevelMesh, candidates: Sequence[Array], size: int,
+def _correlate(images: Images, cells: LevelMesh, candidates: Sequence[Array], pair: BinnedPair,
                report: Report = stay_silent) -> Array:
-    """Displacement of the nodes, blocks of ``size`` pixels, from the best of the candidates."""
-    where = f"pyramid level with blocks of {size} px"
-    return correlate_alone(images, cells, CUT_OFF, TOLERANCES, candidates, where, report)
+    """Displacement of the nodes, blocks, from the best of the candidates."""
+    where = f"pyramid level with blocks of {pair.factor} px"
+    return correlate_alone(images, cells, CUT_OFF * pair.cell, TOLERANCES, candidates, where, report)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +101,13 @@ class _Tile:
 
     ``lines`` are those of its cells and those around it, ``own`` rows and columns of those nodes that are its own,
     ``on_level`` where these are on the level's grid; ``region`` are the cells of the region that it may show,
-    ``starts``, (rows, columns, 2) each, displacements of all its nodes to start from.
+    ``starts``, (rows, columns, 2) each, or (planes, rows, columns, 3), displacements of all its nodes to start from.
     """
 
     size: int
     lines: GridLines
-    own: tuple[slice, slice]
-    on_level: tuple[slice, slice]
+    own: tuple[slice, ...]
+    on_level: tuple[slice, ...]
     region: Mesh
     starts: list[Array]
     correction: GreyCorrection
@@ -108,12 +115,12 @@ class _Tile:
     @property
     def window(self) -> Window:
         """Blocks whose centres it may hold."""
-        low, high = ([line[k] for line in (self.lines.x, self.lines.y)] for k in (0, -1))
+        low, high = ([line[k] for line in self.lines.lines] for k in (0, -1))
         return Window.between(np.ceil(low), np.floor(high) + 1)
 
 
 def _correlate_tile(images: PairOfRank, tile: _Tile) -> Array | MeasurementError:
-    """Correlate a tile, from the best of its starts; displacements of its own nodes, (rows, columns, 2), blocks.
+    """Correlate a tile, from the best of its starts; displacements of its own nodes, as starts are, blocks.
 
     Nodes without a cell are nan. What keeps it from being correlated is returned.
     """
@@ -122,8 +129,8 @@ def _correlate_tile(images: PairOfRank, tile: _Tile) -> Array | MeasurementError
 
     try:
         grid, cells, level = _open_level(pair, tile.region, tile.lines, window, NO_LINES, tile.correction)
-        candidates = [start.reshape(-1, 2)[grid.numbers].ravel() for start in tile.starts]
-        displacement = _correlate(level, cells, candidates, tile.size)
+        candidates = [start.reshape(-1, pair.dim)[grid.numbers].ravel() for start in tile.starts]
+        displacement = _correlate(level, cells, candidates, pair)
     except (ConvergenceError, SingularSubdomainError) as error:
         return error
     return grid.place_on_grid(displacement)[tile.own]
@@ -158,7 +165,7 @@ def correlate_in_tiles(helpers: Helpers, size: int, mesh: Mesh, starts: Sequence
     region = pair.scale(mesh)
     lines = choose_grid_lines(region, pair)
     nodes = pair.scale_to_pixels(lines.build_mesh())
-    shape = (len(lines.y), len(lines.x), 2)
+    shape = find_grid_shape(lines)
     on_grid = [evaluate_at_nodes(start, nodes).reshape(shape) / pair.factor for start in starts]
     tiles = list(_cut_tiles(size, region, lines, on_grid, correction))
     values, errors = np.full(shape, np.nan), []
@@ -177,15 +184,15 @@ def _cut_tiles(size: int, region: Mesh, lines: GridLines, starts: Sequence[Array
                correction: GreyCorrection) -> Iterator[_Tile]:
     """Tiles, row by row, where there are cells of the region; ``starts``, blocks, are of all nodes of the grid."""
     lowest, highest = region.outlines.find_boxes()
-    for rows in _split_line(lines.y):
-        for columns in _split_line(lines.x):
-            part = GridLines((lines.x[columns.wide], lines.y[rows.wide]))
-            low, high = ([line[k] for line in (part.x, part.y)] for k in (0, -1))
-            cells = np.flatnonzero(((lowest <= high) & (highest >= low)).all(axis=1))
-            if len(cells):
-                yield _Tile(size, part, (rows.own, columns.own), (rows.on_level, columns.on_level),
-                            region.create_submesh(cells)[0], [start[rows.wide, columns.wide] for start in starts],
-                            correction)
+    # Arrays on grids have rows before columns.
+    for stretches in product(*map(_split_line, lines.lines[::-1])):
+        part = GridLines(tuple(line[some.wide] for line, some in zip(lines.lines, stretches[::-1], strict=True)))
+        low, high = ([line[k] for line in part.lines] for k in (0, -1))
+        cells = np.flatnonzero(((lowest <= high) & (highest >= low)).all(axis=1))
+        if len(cells):
+            wide, own, on_level = zip(*stretches, strict=True)
+            yield _Tile(size, part, own, on_level, region.create_submesh(cells)[0], [start[wide] for start in starts],
+                        correction)
 
 
 class _Stretch(NamedTuple):

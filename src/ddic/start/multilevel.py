@@ -13,6 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from ddic.arrays import IntArray
 from ddic.case.schema import StartSection
 from ddic.errors import ConvergenceError, SingularSubdomainError
 from ddic.functionals.grey_statistics import GreyCorrection
@@ -110,8 +111,8 @@ class MultilevelStart:
 
     def describe(self) -> tuple[str, ...]:
         """Say for the log how it was found."""
-        shifts = [f"start: rigid shift ({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient "
-                  f"{found.coefficient:.3f}" for found in self.rigid]
+        shifts = [f"start: rigid shift {found.describe()}, correlation coefficient {found.coefficient:.3f}"
+                  for found in self.rigid]
         lines = [*self.notes, *shifts, *self.warnings]
         if self.n_matches:
             lines.append(f"start: {self.n_matches} of {self.n_found} matched features agree with their neighbours")
@@ -158,7 +159,7 @@ class Pyramid:
     @cached_property
     def sizes(self) -> list[int]:
         """Block sizes of the levels, pixels, coarsest first."""
-        return choose_block_sizes(self._n_pixels, self.mesh)
+        return choose_block_sizes(self._size, self.mesh)
 
     @cached_property
     def further_sizes(self) -> list[int]:
@@ -175,7 +176,7 @@ class Pyramid:
     @cached_property
     def rigid_size(self) -> int:
         """Side of the blocks in which a rigid translation is sought, pixels."""
-        return choose_rigid_block(self._n_pixels, self.mesh)
+        return choose_rigid_block(self._size, self.mesh)
 
     def read_whole(self, size: int) -> BinnedPair:
         """Read both images as a whole in blocks of ``size`` pixels, of ``sizes`` or ``rigid_size``; they are kept."""
@@ -197,8 +198,9 @@ class Pyramid:
         return self.helpers is not None and not has_lines and n_blocks > LARGEST_WHOLE
 
     @property
-    def _n_pixels(self) -> int:
-        return int(self.pair.size.prod()) * self.pair.factor**2
+    def _size(self) -> IntArray:
+        """Size of the images along each axis, pixels."""
+        return self.pair.size * self.pair.factor
 
     def find_rigid(self) -> RigidStart:
         """Find translations of the region and of pieces that lines cut; 0, with a warning, where nothing stands out."""
@@ -271,7 +273,7 @@ class Pyramid:
 def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelStart:
     """Find a coarse field on the region: that of the finest level that worked, by the stages that are asked for."""
     sizes = pyramid.sizes if stages.pyramid else []
-    at_rest = RigidStart((build_uniform_field((0.0, 0.0)),), (), 1.0, ())
+    at_rest = RigidStart((build_uniform_field((0.0,) * pyramid.mesh.dim),), (), 1.0, ())
     rigid_start = pyramid.find_rigid() if stages.rigid else at_rest
     matched, warnings = None, rigid_start.warnings
     starts: tuple[CoarseField, ...] = rigid_start.fields
@@ -327,8 +329,7 @@ def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Star
         return None
     if stages.pyramid and not found.levels:
         return None
-    rigid = tuple(replace(one, shift=(one.shift[0] + seen.translation[0], one.shift[1] + seen.translation[1]))
-                  for one in found.rigid)
+    rigid = tuple(replace(one, shift=tuple((one.shift + seen.translation).tolist())) for one in found.rigid)
     return replace(found, field=move_field(found.require_field(), seen.origin, seen.translation), rigid=rigid,
                    notes=(seen.describe(), *found.notes))
 
@@ -394,8 +395,8 @@ def _list_candidates(given: CutField, pyramid: Pyramid, stages: StartSection) ->
         return candidates
     rigid = pyramid.find_rigid()
     for moved in move_on(given, pyramid.read_whole(pyramid.rigid_size)):
-        by = ", ".join(f"({found.shift[0]:.2f}, {found.shift[1]:.2f}) px, correlation coefficient "
-                       f"{found.coefficient:.3f}" for found in moved.translations)
+        by = ", ".join(f"{found.describe()}, correlation coefficient {found.coefficient:.3f}"
+                       for found in moved.translations)
         candidates.append(_Candidate(moved.field, f"start: the given displacement moved on by {by}"))
     worse = "start: the given displacement explains the images worse than a start from nothing does, and is not used"
     return candidates + [_Candidate(field, worse, rigid.translations) for field in rigid.fields]

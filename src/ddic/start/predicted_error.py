@@ -9,7 +9,7 @@ import scipy
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.sub_image import MaskedSource
 from ddic.mesh.mesh import Mesh
-from ddic.start.binned_pair import CELL, BinnedPair
+from ddic.start.binned_pair import BinnedPair
 
 IN_REACH = 0.5
 """Correlation coefficient of a square of blocks from which on its error can be predicted, and Gauss-Newton follows it.
@@ -60,30 +60,31 @@ class PredictedError:
 
 
 def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Array]) -> PredictedError:
-    """Predict the error of a displacement: one step of optical flow in each square of ``CELL`` blocks.
+    """Predict the error of a displacement: one step of optical flow in each square, or cube, of a cell's side.
 
-    ``displace`` gives the displacement, (n, 2), of points, (n, 2), pixels. Each square's gain and offset of grey levels
-    are its own; squares without texture are left out. Errors hold up to a part of a speckle, or of a block where that
-    is larger.
+    ``displace`` gives the displacement, (n, dim), of points, (n, dim), pixels. Each square's gain and offset of grey
+    levels are its own; squares without texture are left out. Errors hold up to a part of a speckle, or of a block where
+    that is larger.
     """
     active = pair.find_active(pair.scale(mesh))
-    rows, columns = np.nonzero(active)
-    if not rows.size:
+    # Along y and x, as in arrays.
+    blocks = np.array(np.nonzero(active))
+    if not blocks.size:
         return PredictedError(np.zeros(0), np.zeros(0), np.zeros(0))
-    squares = _number_squares(rows, columns)
+    squares = _number_squares(blocks, pair.cell)
     drawn = _draw_squares(squares)
-    rows, columns, squares = rows[drawn], columns[drawn], squares[drawn]
-    points = np.stack([columns, rows], axis=1) * float(pair.factor) + pair.centre
+    blocks, squares = blocks[:, drawn], squares[drawn]
+    points = blocks[::-1].T * float(pair.factor) + pair.centre
     places = ((points + displace(points) - pair.centre) / pair.factor)[:, ::-1].T
-    f = pair.reference.read_whole()[rows, columns]
+    f = pair.reference.read_whole()[tuple(blocks)]
     seen = _find_seen(pair.deformed, places)
     return _judge(*_sum_squares(f, _sample(pair.deformed, places), squares, seen), pair.factor)
 
 
-def _number_squares(rows: IntArray, columns: IntArray) -> IntArray:
-    """Square that each block lies in, from 0."""
-    row, column = (rows - rows.min()) // CELL, (columns - columns.min()) // CELL
-    return np.asarray(row * (column.max() + 1) + column)
+def _number_squares(blocks: IntArray, side: int) -> IntArray:
+    """Square that each block, (dim, n), lies in, from 0."""
+    squares = (blocks - blocks.min(axis=1, keepdims=True)) // side
+    return np.asarray(np.ravel_multi_index(tuple(squares), tuple(squares.max(axis=1) + 1)))
 
 
 def _draw_squares(squares: IntArray) -> BoolArray:
@@ -97,27 +98,27 @@ def _draw_squares(squares: IntArray) -> BoolArray:
 
 
 def _find_seen(deformed: MaskedSource, places: Array) -> BoolArray:
-    """Places (row, column) in the deformed image that are in it, and count."""
-    height, width = deformed.extent.height, deformed.extent.width
-    inside = (places >= 0).all(axis=0) & (places[0] <= height - 1) & (places[1] <= width - 1)
+    """Places (row, column) in the deformed image, (dim, n), that are in it, and count."""
+    last = np.array(deformed.extent.shape)[:, None] - 1
+    inside = ((places >= 0) & (places <= last)).all(axis=0)
     usable = deformed.find_usable(deformed.extent)
     if usable is None:
         return np.asarray(inside)
     nearest = np.rint(np.where(inside, places, 0)).astype(np.int64)
-    return np.asarray(inside & (usable[nearest[0], nearest[1]] > 0))
+    return np.asarray(inside & (usable[tuple(nearest)] > 0))
 
 
 def _sample(deformed: MaskedSource, places: Array) -> Array:
-    """Grey levels of the deformed image at places, and their slopes there along x and y, a block: (3, n)."""
+    """Grey levels of the deformed image at places, and their slopes there along x, y, ..., a block: (1 + dim, n)."""
     values = deformed.read_whole()
-    along_y, along_x = np.gradient(values)
     grey = scipy.ndimage.map_coordinates(values, places, order=3, mode="nearest")
-    slopes = [scipy.ndimage.map_coordinates(slope, places, order=1, mode="nearest") for slope in (along_x, along_y)]
+    slopes = [scipy.ndimage.map_coordinates(slope, places, order=1, mode="nearest")
+              for slope in np.gradient(values)[::-1]]
     return np.stack([grey, *slopes])
 
 
-def _sum_squares(f: Array, g: Array, squares: IntArray, seen: BoolArray, ) -> tuple[Array, Array, Array]:
-    """Of each square: its blocks, how many are seen, and covariances of f, g, dg/dx, dg/dy, (n, 4, 4)."""
+def _sum_squares(f: Array, g: Array, squares: IntArray, seen: BoolArray) -> tuple[Array, Array, Array]:
+    """Of each square: its blocks, how many are seen, and covariances of f, g, dg/dx, dg/dy, ..., (n, 2 + dim, ...)."""
     n = int(squares.max()) + 1
     n_blocks, own = np.bincount(squares, minlength=n).astype(float), squares[seen]
     n_seen = np.bincount(own, minlength=n).astype(float)
@@ -125,8 +126,8 @@ def _sum_squares(f: Array, g: Array, squares: IntArray, seen: BoolArray, ) -> tu
     signals = np.concatenate([f[None], g])[:, seen]
     # About each square's mean: its offset of grey levels is its own.
     signals = signals - np.stack([np.bincount(own, signal, n) / safe for signal in signals])[:, own]
-    covariance = np.empty((n, 4, 4))
-    for i in range(4):
+    covariance = np.empty((n, len(signals), len(signals)))
+    for i in range(len(signals)):
         for j in range(i + 1):
             covariance[:, i, j] = covariance[:, j, i] = np.bincount(own, signals[i] * signals[j], n) / safe
     return n_blocks, n_seen, covariance
@@ -150,7 +151,8 @@ def _judge(n_blocks: Array, n_seen: Array, covariance: Array, factor: int) -> Pr
         gain = np.sqrt(variance_g[in_reach] / variance_f[in_reach])
         right = gain[:, None] * of_reach[:, 0, 2:] - of_reach[:, 1, 2:]
         ridge = 1e-6 * np.trace(of_reach[:, 2:, 2:], axis1=1, axis2=2)
-        step = np.linalg.solve(of_reach[:, 2:, 2:] + ridge[:, None, None] * np.eye(2), right[..., None])[..., 0]
+        normal = of_reach[:, 2:, 2:] + ridge[:, None, None] * np.eye(right.shape[1])
+        step = np.linalg.solve(normal, right[..., None])[..., 0]
         error[in_reach] = factor * np.linalg.norm(step, axis=1)
     counted = told | is_out
     return PredictedError(np.where(told, likeness, 0.0)[counted], error[counted], n_blocks[counted])

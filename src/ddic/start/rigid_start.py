@@ -16,7 +16,7 @@ from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_areas
-from ddic.start.binned_pair import CELL, BinnedPair
+from ddic.start.binned_pair import BinnedPair
 from ddic.start.coarse_displacement import CutField
 from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
 
@@ -27,7 +27,7 @@ REPETITIVE = 4
 """Other translations as good as the best from which on the texture is taken to repeat itself: grids have one on each
 side. A few may be chance."""
 
-FEWEST_BLOCKS = 1.5 * CELL
+FEWEST_BLOCKS = 24
 """Blocks of the region below which no translation is sought."""
 
 FEWEST_OF_PIECE = 600
@@ -72,11 +72,11 @@ def find_rigid_start(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuit
     region = pair.scale(mesh)
     shift = _find_shift_of_part(pair, region, FEWEST_BLOCKS)
     if _stands_out(shift) and shift.n_alike >= REPETITIVE:
-        x, y = shift.shift
+        listed = ", ".join(f"{along:.0f}" for along in shift.shift)
         raise ConvergenceError(
-            f"the texture repeats itself: {shift.n_alike} other translations match as well as ({x:.0f}, {y:.0f}) px; "
+            f"the texture repeats itself: {shift.n_alike} other translations match as well as ({listed}) px; "
             "give a pair of points (start.points), or switch start.rigid off where nothing moves by half a period")
-    whole = shift.shift if _stands_out(shift) else (0.0, 0.0)
+    whole = shift.shift if _stands_out(shift) else (0.0,) * pair.dim
     of_pieces, field = _find_piece_shifts(pair, region, discontinuities, whole)
     fields = (build_uniform_field(whole),) if field is None else (field, build_uniform_field(whole))
     if _stands_out(shift):
@@ -87,7 +87,7 @@ def find_rigid_start(pair: BinnedPair, mesh: Mesh, discontinuities: Discontinuit
 
 
 def _find_piece_shifts(pair: BinnedPair, region: Mesh, discontinuities: Discontinuities,
-                       otherwise: tuple[float, float]) -> tuple[tuple[RigidShift, ...], CutField | None]:
+                       otherwise: tuple[float, ...]) -> tuple[tuple[RigidShift, ...], CutField | None]:
     """Translations of pieces, and their field; that is the translation of the region where they do not find theirs."""
     lines = discontinuities.scale(pair.centre, pair.factor).lines
     blocks = cut_mesh(region, lines).mesh
@@ -113,7 +113,7 @@ def _find_shift_of_part(pair: BinnedPair, part: Mesh, fewest: float) -> RigidShi
 def _find_shift(grey: Array, pair: BinnedPair, blocks: BoolArray, fewest: float) -> RigidShift:
     """Translation of some blocks of an image in the deformed one, pixels; of coefficient 0 where they are too few."""
     if blocks.sum() < fewest:
-        return RigidShift((0.0, 0.0), 0.0)
+        return RigidShift((0.0,) * pair.dim, 0.0)
     return find_rigid_shift(grey, pair.deformed.read_whole(), blocks).scale(pair.factor)
 
 
@@ -146,7 +146,7 @@ def move_on(given: CutField, pair: BinnedPair) -> list[MovedOn]:
     mesh, found = given.mesh, []
     grey, pieces = _bring(given, pair)
     whole = _find_shift(grey, pair, pieces >= 0, FEWEST_BLOCKS)
-    by_node = np.tile(whole.shift if _stands_out(whole) else (0.0, 0.0), (mesh.n_nodes, 1))
+    by_node = np.tile(whole.shift if _stands_out(whole) else (0.0,) * pair.dim, (mesh.n_nodes, 1))
     of_pieces = []
     n_pieces = int(pieces.max(initial=-1)) + 1
     if n_pieces > 1:
@@ -169,14 +169,14 @@ def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, IntArray]:
     after = Mesh(before.nodes + given.displacement / pair.factor, before.connectivity, before.offsets, before.types)
     # Torn and folded cells would cover everything.
     kept = np.flatnonzero(_find_drawn(before, after))
-    height, width = pair.reference.extent.height, pair.reference.extent.width
-    pieces = np.full((height, width), -1, dtype=np.int64)
-    grey = np.zeros((height, width))
+    shape = pair.reference.extent.shape
+    pieces = np.full(shape, -1, dtype=np.int64)
+    grey = np.zeros(shape)
     if not kept.size:
         return grey, pieces
     drawn, nodes = after.create_submesh(kept)
-    y, x = np.mgrid[0:height, 0:width].astype(float)
-    located = locate(drawn, np.column_stack([x.ravel(), y.ravel()]))
+    places_of_blocks = np.indices(shape).reshape(len(shape), -1)[::-1].T
+    located = locate(drawn, places_of_blocks.astype(float))
     inside = located.cells >= 0
     origins = interpolate_located(drawn, before.nodes[nodes], located)[inside]
     reference = pair.reference.read_whole()
@@ -185,8 +185,8 @@ def _bring(given: CutField, pair: BinnedPair) -> tuple[Array, IntArray]:
     counted = np.ones(len(origins), dtype=bool)
     usable = pair.reference.find_usable(pair.reference.extent)
     if usable is not None:
-        row, column = np.rint(places).astype(np.int64)
-        counted = usable[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] > 0
+        nearest = np.clip(np.rint(places).astype(np.int64), 0, np.array(shape)[:, None] - 1)
+        counted = usable[tuple(nearest)] > 0
     of_cells = find_pieces(given.mesh)[kept]
     pieces.reshape(-1)[inside] = np.where(counted, of_cells[located.cells[inside]], -1)
     return grey, pieces

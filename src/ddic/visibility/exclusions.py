@@ -94,7 +94,7 @@ class Exclusions:
     ----------
     cells : ByView of (n_cells,) uint8 array
         KEPT or why not.
-    pixels : ByView of (n, 2) int64 array
+    pixels : ByView of (n, dim) int64 array
         Column and row of spoilt pixels in cells that are kept.
     pulled : ByView of HeldCells
         Cells that are pulled to where they are seen.
@@ -108,7 +108,8 @@ class Exclusions:
     def of_reference(cls, views: ByView[FrameView]) -> Exclusions:
         """Exclude of owned subdomains what the reference image masks, whatever a frame shows."""
         return cls(views.map(lambda view: np.where(find_masked(view), MASKED, KEPT).astype(np.uint8)),
-                   views.map(lambda _: np.zeros((0, 2), dtype=np.int64)), views.map(lambda _: HeldCells.none()))
+                   views.map(lambda view: np.zeros((0, view.correlation.mesh.dim), dtype=np.int64)),
+                   views.map(lambda view: HeldCells.none(view.correlation.mesh)))
 
     def is_any(self, team: Team) -> bool:
         """Tell all ranks whether anything is excluded; collective."""
@@ -183,7 +184,7 @@ def _exclude_from_view(view: FrameView, cells: NDArray[np.uint8], pixels: IntArr
     correlation = view.correlation
     image = correlation.reference
     excluded = correlation.raster.draw_cells(np.flatnonzero(is_excluded), image.window) > 0
-    excluded[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = True
+    excluded[image.window.index(pixels)] = True
     return replace(view, correlation=replace(correlation, reference=image.exclude(excluded)))
 
 
@@ -233,7 +234,7 @@ class Rules:
 def _find_view_exclusions(seen: _SeenView, rules: Rules) -> tuple[NDArray[np.uint8], IntArray, HeldCells]:
     """Find what a view does not show: states of its cells, spoilt pixels, cells that are pulled.
 
-    States, (n_cells,), are KEPT or why not; pixels, (n, 2), are column and row of spoilt ones in cells that are kept;
+    States, (n_cells,), are KEPT or why not; pixels, (n, dim), are column and row of spoilt ones in cells that are kept;
     pulled are cells that are seen so far away that their grey levels say nothing of the way.
     """
     states = _judge_by_pixels(seen, rules)
@@ -246,7 +247,7 @@ def _find_view_exclusions(seen: _SeenView, rules: Rules) -> tuple[NDArray[np.uin
     beside = np.array(list(found), dtype=np.int64)
     states[stands_out & (states == KEPT)] = SPOILT
     states[beside] = np.where(stands_out[beside], HELD_OFF, KEPT)
-    spots = [np.zeros((0, 2), dtype=np.int64)]
+    spots = [np.zeros((0, seen.view.correlation.mesh.dim), dtype=np.int64)]
     for cell, pixels, share in _search_cells(seen, rules, np.setdiff1d(suspicious, beside)):
         if share <= MOST_SPOILT:
             states[cell] = KEPT
@@ -259,10 +260,11 @@ def _find_view_exclusions(seen: _SeenView, rules: Rules) -> tuple[NDArray[np.uin
 
 def _hold(seen: _SeenView, found: Mapping[int, Array]) -> HeldCells:
     """Where those cells are seen whose grey levels do not say the way there."""
+    mesh = seen.view.correlation.mesh
     far = {cell: away for cell, away in found.items() if measure_mean_distance(away) > CAPTURED}
     if not far:
-        return HeldCells.none()
-    cells, mesh = np.array(list(far), dtype=np.int64), seen.view.correlation.mesh
+        return HeldCells.none(mesh)
+    cells = np.array(list(far), dtype=np.int64)
     u = seen.view.kinematics.displacement(seen.q).reshape(mesh.nodes.shape)
     return HeldCells(cells, u[pad_cells(mesh)[cells]] + np.array(list(far.values())))
 
@@ -283,7 +285,7 @@ def _judge_by_pixels(seen: _SeenView, rules: Rules) -> NDArray[np.uint8]:
 def _search_cells(seen: _SeenView, rules: Rules, searched: IntArray) -> Iterator[tuple[int, IntArray, float]]:
     """Cells that have spoilt pixels, or that a line may cross elsewhere than it is thought to.
 
-    Beside them these pixels' columns and rows, (n, 2), and their share of the cell's pixels that are judged.
+    Beside them these pixels' columns and rows, (n, dim), and their share of the cell's pixels that are judged.
     """
     # The correction of all cells, where each has none of its own.
     correction = seen.typical.gain, seen.typical.offset
@@ -296,14 +298,14 @@ def _search_cells(seen: _SeenView, rules: Rules, searched: IntArray) -> Iterator
             spoilt = find_spoilt_pixels(replace(patch, counts=judged), seen.typical.noise, rules.limits.pixel,
                                         own_brightness=rules.own_brightness)
         if spoilt.any() or of_lines.any():
-            rows, columns = np.nonzero(spoilt)
-            yield cell, np.column_stack([columns + box.x0, rows + box.y0]), len(rows) / max(n_judged, 1)
+            pixels = np.column_stack(np.nonzero(spoilt)[::-1]) + box.lower
+            yield cell, pixels, len(pixels) / max(n_judged, 1)
 
 
 def _find_uncertain_pixels(seen: _SeenView, rules: Rules, box: Window) -> BoolArray:
     """Pixels of a box that may lie beyond a line: those within its uncertainty."""
     correlation = seen.view.correlation
-    uncertain = np.zeros((box.height, box.width), dtype=bool)
+    uncertain = np.zeros(box.shape, dtype=bool)
     if correlation.mesh.parts is None:
         return uncertain
     y, x = np.mgrid[box.y0:box.y1, box.x0:box.x1]
