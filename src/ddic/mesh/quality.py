@@ -72,9 +72,9 @@ def list_corner_edges(mesh: Mesh, values: Array) -> Array:
 
 def measure_covered_areas(mesh: Mesh) -> tuple[Array, Array]:
     """Measure what each positively run cell covers, square pixels, and its share of the whole cell, 1 where not cut."""
-    areas = _measure_polygons(*mesh.outlines)
     if mesh.parts is None:
-        return areas, np.ones(mesh.n_cells)
+        return measure_areas(mesh), np.ones(mesh.n_cells)
+    areas = _measure_polygons(*mesh.outlines)
     return areas, areas / measure_areas(mesh)
 
 
