@@ -86,7 +86,7 @@ def write_result() -> Callable[..., Path]:
         with ResultWriter(path, flip_y=flip_y) as writer:
             writer.write_pieces(pieces, schema.point_fields(length_unit), schema.cell_fields())
             if residual:
-                write_residual_image(writer, ChunkGrid(60, 50), {0: residual_of(60, 50)})
+                write_residual_image(writer, ChunkGrid(Window.of_size(60, 50)), {0: residual_of(60, 50)})
             writer.write_table(schema.GAUSS_NEWTON, {"iteration": [1, 2], "residual_std_grey": [3.0, 2.5]})
             writer.write_curves(schema.KRYLOV, [[1.0, 0.1, 0.001], [1.0, 1e-4]] if curves else [[], []])
             writer.write_attributes(schema.CASE, {"toml": "title = 'é'\n" * 20_000, "eta": 0.5})

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ddic.images.window import Window
-from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid, pack_chunk
+from ddic.io.image_chunks import CHUNK_SIDES, ChunkGrid, pack_chunk
 
-SIDE = IMAGE_CHUNK
+SIDE = CHUNK_SIDES[2]
 
 
 def noise() -> NDArray[np.float32]:
@@ -77,7 +77,7 @@ def test_chunks_are_no_larger_than_with_the_filters_themselves(tmp_path: Path, n
 
 @given(width=st.integers(1, 1000), height=st.integers(1, 1000), data=st.data())
 def test_chunks_under_a_window_are_those_that_hold_its_pixels(width: int, height: int, data: st.DataObject) -> None:
-    grid = ChunkGrid(width, height)
+    grid = ChunkGrid(Window.of_size(width, height))
     x0, y0 = data.draw(st.integers(-50, width)), data.draw(st.integers(-50, height))
     window = Window((x0, y0), (x0 + data.draw(st.integers(0, 600)), y0 + data.draw(st.integers(0, 600))))
     n_rows = -(-height // grid.shape[0])

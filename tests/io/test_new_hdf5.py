@@ -68,7 +68,7 @@ def _make_room(new: NewHdf5) -> list[Block]:
     blocks = [rows.place_values(first, values[first:first + 1000]) for first in range(0, 5000, 1000)]
     image = new.file.create_dataset("image", (500, 600), "<f4", chunks=(256, 256), compression="gzip", shuffle=True)
     for number in range(6):
-        window = ChunkGrid(600, 500).locate_chunk(number)
+        window = ChunkGrid(Window.of_size(600, 500)).locate_chunk(number)
         data = pack_chunk(rng.normal(size=(256, 256)).astype(np.float32))
         blocks.append(Block(new.create_chunk(image, (window.y0, window.x0), len(data)), data))
         new.file[f"after chunk {number}"] = rng.normal(size=500)
@@ -89,7 +89,7 @@ def test_what_others_write_is_what_the_library_reads(tmp_path: Path) -> None:
         file["rows"] = rng.normal(size=(5000, 3))
         image = file.create_dataset("image", (500, 600), "<f4", chunks=(256, 256), compression="gzip", shuffle=True)
         for number in range(6):
-            window = ChunkGrid(600, 500).locate_chunk(number)
+            window = ChunkGrid(Window.of_size(600, 500)).locate_chunk(number)
             values = rng.normal(size=(256, 256)).astype(np.float32)
             image[window.y0:window.y1, window.x0:window.x1] = values[:500 - window.y0, :600 - window.x0]
             file[f"after chunk {number}"] = rng.normal(size=500)
@@ -156,7 +156,7 @@ def test_a_full_disk_is_told_and_the_file_is_closed(tmp_path: Path, monkeypatch:
 
 
 def _write_result(path: Path) -> None:
-    grid = ChunkGrid(700, 600)
+    grid = ChunkGrid(Window.of_size(700, 600))
     with ResultWriter(path) as writer:
         write_residual_image(writer, grid, {number: np.random.default_rng(number).normal(size=grid.shape)
                                             for number in grid.find_chunks(Window.of_size(700, 600))})

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ddic.errors import InputError
 from ddic.io import result_schema as schema
-from ddic.io.image_chunks import IMAGE_CHUNK, ChunkGrid
+from ddic.io.image_chunks import CHUNK_SIDES, ChunkGrid
 from ddic.io.new_hdf5 import write_block
 from ddic.io.result_pieces import NOTHING, Piece, add_counts, count_piece, join_pieces
 from ddic.io.result_writer import ResultWriter
@@ -115,15 +115,15 @@ def test_layout_of_the_file(tmp_path: Path, write_result: Write, pieces: list[Pi
 
 
 def test_residual_is_nan_where_no_chunk_was_written(tmp_path: Path) -> None:
-    path, grid = tmp_path / "r.vtkhdf", ChunkGrid(2 * IMAGE_CHUNK + 6, IMAGE_CHUNK + 5)
+    path, grid = tmp_path / "r.vtkhdf", ChunkGrid(Window.of_size(2 * CHUNK_SIDES[2] + 6, CHUNK_SIDES[2] + 5))
     with ResultWriter(path) as writer:
         # Whoever has them, they come in any order.
         write_residual_image(writer, grid, {number: np.full(grid.shape, number) for number in (5, 1)})
     with h5py.File(path) as file:
         image = file["residual_image/residual"][...]
     expected = np.full((grid.height, grid.width), np.nan, np.float32)
-    expected[:IMAGE_CHUNK, IMAGE_CHUNK:2 * IMAGE_CHUNK] = 1
-    expected[IMAGE_CHUNK:, 2 * IMAGE_CHUNK:] = 5
+    expected[:CHUNK_SIDES[2], CHUNK_SIDES[2]:2 * CHUNK_SIDES[2]] = 1
+    expected[CHUNK_SIDES[2]:, 2 * CHUNK_SIDES[2]:] = 5
     np.testing.assert_array_equal(image, expected)
 
 

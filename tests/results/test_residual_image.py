@@ -23,7 +23,7 @@ from ddic.results.residual_image import Patch, share_chunks, write_patches
 
 RANKS = [1, 3]
 WIDTH, HEIGHT = 900, 700
-GRID = ChunkGrid(WIDTH, HEIGHT)
+GRID = ChunkGrid(Window.of_size(WIDTH, HEIGHT))
 N_PARTS = 7
 
 

@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(("more", "time", "name"), [
     ("", 1.0, "s.vtkhdf, frame 2, the last one that was measured"), ("frame = 1\n", 0.5, "s.vtkhdf, frame 1")])
 def test_the_frame_asked_for_or_the_last_is_taken(folder: Path, more: str, time: float, name: str) -> None:
-    given = load_given_start(load_case(write_case(folder, FROM + more)).case.start)
+    given = load_given_start(load_case(write_case(folder, FROM + more)).case.start, 2)
     assert isinstance(given, EarlierResult)
     assert given.name == f"{folder}/{name}"
     np.testing.assert_array_equal(given.result.displacement, displace(MESH.nodes, time))

@@ -77,7 +77,7 @@ def _write_frame(path: Path, frame: FrameFile, number: int, form: tuple[bool, st
         writer.write_pieces(pieces, (*schema.point_fields(length_unit), *schema.nodal_strain_fields()),
                             schema.cell_fields())
         if residual:
-            write_residual_image(writer, ChunkGrid(60, 40), {0: np.full((40, 60), float(number))})
+            write_residual_image(writer, ChunkGrid(Window.of_size(60, 40)), {0: np.full((40, 60), float(number))})
         iterations = list(range(1, 3 + number))
         writer.write_table(schema.GAUSS_NEWTON, {"iteration": iterations, "residual_std_grey": [2.5] * len(iterations)})
         writer.write_curves(schema.KRYLOV, [[1.0, 10.0**-number]])

@@ -249,7 +249,7 @@ def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, probl
     """The points that the case starts from; None where there are none, or they are wrong."""
     # A table of points is named by what is said of it.
     with problems.gathered(None if loaded.case.start.points is None else loaded.path):
-        points = load_start_points(loaded.case.start)
+        points = load_start_points(loaded.case.start, loaded.case.dim)
         if points is not None and reference is not None:
             check_start_points(points, reference.extent)
         return points

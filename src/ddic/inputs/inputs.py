@@ -232,7 +232,7 @@ class StartPoints:
 
     Attributes
     ----------
-    points, displacement : (n, 2) array
+    points, displacement : (n, dim) array
         Where they are in the reference image, and how far they move, pixels.
     name : str
         Where they come from, for the log and for messages.
@@ -255,14 +255,14 @@ class StartPoints:
         return f"{self.name}[{number}]" if self.rows is None else f"{self.name}: row {self.rows[number]}"
 
 
-def load_start_points(section: StartSection) -> StartPoints | None:
+def load_start_points(section: StartSection, dim: int) -> StartPoints | None:
     """Load the points that a case starts from, None where it gives none; InputError where their table is wrong."""
     if section.from_points is not None:
-        values, rows = read_point_table(section.from_points)
-        return StartPoints(values[:, :2], values[:, 2:], str(section.from_points), rows)
+        values, rows = read_point_table(section.from_points, dim)
+        return StartPoints(values[:, :dim], values[:, dim:], str(section.from_points), rows)
     if section.points is not None:
         pairs = np.array(section.points, dtype=np.float64)
-        return StartPoints(pairs[:, :2], pairs[:, 2:] - pairs[:, :2], "start.points")
+        return StartPoints(pairs[:, :dim], pairs[:, dim:] - pairs[:, :dim], "start.points")
     return None
 
 

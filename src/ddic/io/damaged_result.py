@@ -56,9 +56,12 @@ def _require_sound_cells(grid: Arrays) -> None:
     """Refuse cells with other nodes than their types have, or than their piece has."""
     n_points, n_cells, n_ids = (grid[name] for name in schema.PIECES)
     connectivity, types, offsets = grid["Connectivity"], grid["Types"], grid["Offsets"]
-    unknown = set(np.unique(types).tolist()) - set(CELL_TYPES)
+    found = set(np.unique(types).tolist())
+    unknown = found - set(CELL_TYPES)
     if unknown:
         raise ValueError(f"Types: no cell is of type {min(unknown)}")
+    if len({CELL_TYPES[number].dim for number in found}) > 1:
+        raise ValueError("Types: cells in the plane and in space")
     if _least(connectivity) < 0 or (connectivity >= np.repeat(n_points, n_ids)).any():
         raise ValueError("Connectivity: cells have nodes that do not exist")
     n_nodes = np.zeros(1 + max(CELL_TYPES), np.int64)
@@ -93,7 +96,7 @@ def _require_sound_ids(point_data: Arrays, cell_data: Arrays) -> None:
 
 
 def require_sound_values(mesh: Mesh, displacement: Array) -> None:
-    """Refuse, by a ValueError, places and displacements, (n_nodes, 2), pixels or nan, that no measurement has."""
+    """Refuse, by a ValueError, places and displacements, (n_nodes, dim), pixels or nan, that no measurement has."""
     if not (np.abs(mesh.nodes) <= LARGEST_PX).all():
         raise ValueError("Points: nodes lie in no image")
     if (np.abs(displacement) > LARGEST_PX).any():

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from ddic.images.window import Window
 
-IMAGE_CHUNK = 256
-"""Side of a chunk, pixels."""
+CHUNK_SIDES = {2: 256, 3: 64}
+"""Side of a chunk of an image and of a volume, pixels."""
 
 NOISE_BITS = 7.8
 """Bits per byte above which a plane is stored as it is: compression would gain less than 3 %."""
@@ -26,50 +26,56 @@ ZLIB_HEADER = b"\x78\x01"
 
 @dataclass(frozen=True)
 class ChunkGrid:
-    """Chunks of an image, numbered row by row; those at the right and lower edges reach beyond the image.
+    """Chunks of an image, numbered as its pixels lie; those at its far edges reach beyond the image.
 
     Attributes
     ----------
-    width, height : int
-        Of the image, pixels.
+    extent : Window
+        Of the image.
     """
 
-    width: int
-    height: int
+    extent: Window
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of pixels of a chunk."""
-        return min(IMAGE_CHUNK, self.height), min(IMAGE_CHUNK, self.width)
+    def sizes(self) -> tuple[int, ...]:
+        """Pixels of a chunk along each axis."""
+        side = CHUNK_SIDES[len(self.extent.sizes)]
+        return tuple(min(side, size) for size in self.extent.sizes)
 
     @property
-    def n_columns(self) -> int:
-        """Number of chunks side by side."""
-        return -(-self.width // self.shape[1])
+    def shape(self) -> tuple[int, ...]:
+        """Shape of an array of a chunk's pixels."""
+        return self.sizes[::-1]
+
+    @property
+    def _counts(self) -> tuple[int, ...]:
+        """Chunks along each axis."""
+        return tuple(-(-size // of_chunk) for size, of_chunk in zip(self.extent.sizes, self.sizes, strict=True))
 
     def locate_chunk(self, number: int) -> Window:
         """Tell which pixels a chunk has, those beyond the image included."""
-        rows, columns = self.shape
-        row, column = divmod(number, self.n_columns)
-        return Window((column * columns, row * rows), ((column + 1) * columns, (row + 1) * rows))
+        place = np.array(np.unravel_index(number, self._counts, order="F"))
+        return Window.between(place * self.sizes, (place + 1) * self.sizes)
 
     def find_chunks(self, window: Window) -> list[int]:
         """Find the chunks that share pixels with a window, sorted; pixels beyond the image do not count."""
-        rows, columns = self.shape
-        part = window.intersection(Window.of_size(self.width, self.height))
+        part = window.intersection(self.extent)
         if part.n_pixels == 0:
             return []
-        return [row * self.n_columns + column
-                for row in range(part.y0 // rows, (part.y1 - 1) // rows + 1)
-                for column in range(part.x0 // columns, (part.x1 - 1) // columns + 1)]
+        first = np.floor_divide(part.lower, self.sizes)
+        last = np.floor_divide(np.subtract(part.upper, 1), self.sizes)
+        # The last axis varies slowest.
+        places = np.meshgrid(*(np.arange(low, high + 1) for low, high in zip(first[::-1], last[::-1], strict=True)),
+                             indexing="ij")
+        return np.ravel_multi_index(tuple(places), self._counts[::-1]).ravel().tolist()  # type: ignore[no-any-return]
 
 
 def pack_chunk(chunk: NDArray[np.float32]) -> bytes:
     """Pack a chunk as HDF5's shuffle and deflate filters would store it, to a zlib stream.
 
     The bytes of equal weight lie together (shuffle). Each of these planes is a piece of one zlib stream by itself,
-    since the low bytes of a residual are noise on which every search for repetitions is lost time. The chunk, (rows,
-    columns), holds grey levels, nan where not correlated.
+    since the low bytes of a residual are noise on which every search for repetitions is lost time. The chunk, an
+    array of any shape, holds grey levels, nan where not correlated.
     """
     planes = np.ascontiguousarray(chunk.astype("<f4", copy=False).reshape(-1).view(np.uint8).reshape(-1, 4).T)
     last = len(planes) - 1

@@ -18,6 +18,7 @@ from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
 from ddic.io.hdf5_file import NONE_KNOWN, READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import FileStamps, as_path, require_file
+from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cell_parts import find_offsets, list_ranges
 from ddic.mesh.interpolation import EDGE, differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
@@ -38,7 +39,7 @@ class Result:
         The file.
     mesh : Mesh
         Nodes by global node number, cells by global cell number; pixels.
-    displacement : (n_nodes, 2) array
+    displacement : (n_nodes, dim) array
         Pixels.
     point_data, cell_data : dict of (n,), (n, 3) or (n, 6) arrays
         All fields as the file holds them: scalars, vectors, symmetric tensors XX YY ZZ XY YZ XZ.
@@ -112,7 +113,7 @@ class Result:
 
     @property
     def fields(self) -> Arrays:
-        """All fields by name, those at the nodes first: (n,) scalars, (n, 2) vectors, (n, 6) symmetric tensors."""
+        """All fields by name, those at the nodes first: (n,) scalars, (n, dim) vectors, (n, 6) symmetric tensors."""
         fields = {**self.point_data, **self.cell_data}
         for name, values in fields.items():
             if values.ndim == 2 and values.shape[1] == schema.VECTOR:
@@ -129,12 +130,12 @@ class Result:
 
         Parameters
         ----------
-        points : (n, 2) array
+        points : (n, dim) array
             Pixels of the reference image.
 
         Returns
         -------
-        (n, 2) array
+        (n, dim) array
             Pixels; nan outside the mesh, in its holes and about nodes that were not measured.
 
         Raises
@@ -144,8 +145,8 @@ class Result:
         """
         positions = np.asarray(points, np.float64)
         if positions.ndim != 2 or positions.shape[1] != self.mesh.dim:
-            raise InputError(f"points: an array of shape {positions.shape}, (n, {self.mesh.dim}) expected: x and y of "
-                             "each point, pixels")
+            raise InputError(f"points: an array of shape {positions.shape}, (n, {self.mesh.dim}) expected: "
+                             f"{' and '.join(schema.AXES[:self.mesh.dim])} of each point, pixels")
         if self.separated is not None:
             return self.separated.at(positions)
         return interpolate(self.mesh, self.displacement, positions)
@@ -240,7 +241,7 @@ class Result:
 
     @cached_property
     def residual_image(self) -> NDArray[np.float32] | None:
-        """The residual image (height, width), grey levels, read at first use; None if it was not written."""
+        """The residual image as the image lies, grey levels, read at first use; None if it was not written."""
         with opened_result(self.path) as (_, file):
             return _read_residual_image(file)
 
@@ -278,7 +279,7 @@ def read_independent_fields(path: Path) -> Result:
     """Read the pieces of a result file apart, displaced as each subdomain measured by itself."""
     with opened_result(path) as (name, file):
         apart = read_open_file(name, file, joined=False)
-    return replace(apart, displacement=np.ascontiguousarray(apart.point_data[schema.INDEPENDENT][:, :2]))
+    return replace(apart, displacement=np.ascontiguousarray(apart.point_data[schema.INDEPENDENT][:, :apart.mesh.dim]))
 
 
 @contextmanager
@@ -300,7 +301,7 @@ def opened_result(path: Path | str, known: FileStamps = NONE_KNOWN) -> Iterator[
 
 
 def clip_result(result: Result, low: Array, high: Array) -> Result:
-    """Keep the cells of a result that touch the box from ``low`` to ``high``, (2,) each, pixels, and their nodes.
+    """Keep the cells of a result that touch the box from ``low`` to ``high``, (dim,) each, pixels, and their nodes.
 
     What is read inside the box is the same, and sooner. Where no cell touches it, the result is kept whole.
     """
@@ -320,12 +321,12 @@ def keep_cells(result: Result, cells: IntArray) -> Result:
 
 
 def displacement_at(result: Result, points: Array) -> Array:
-    """Guess the displacement of a result anywhere, to start another run from it; (n, 2), pixels.
+    """Guess the displacement of a result anywhere, to start another run from it; (n, dim), pixels.
 
     ``Result.at`` is the displacement that was measured; this is a number everywhere, in holes, outside and about nodes
     that were not measured too. It is the nodal value where a measured node lies within 1e-9 px, else what was measured
     there; where nothing was, linear interpolation between the measured nodes (Delaunay), and outside their hull the
-    value of the nearest of them. ``points``, (n, 2), are pixels of the reference image.
+    value of the nearest of them. ``points``, (n, dim), are pixels of the reference image.
     """
     from scipy.interpolate import LinearNDInterpolator
 
@@ -418,7 +419,7 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     mesh, point_rows, cell_rows = merge_pieces(grid, points, node_ids, cell_data[schema.GLOBAL_CELL_ID])
     at_nodes = {name: values[point_rows] for name, values in point_data.items()}
     on_cells = {name: values[cell_rows] for name, values in cell_data.items()}
-    displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :2])
+    displacement = np.ascontiguousarray(at_nodes[schema.DISPLACEMENT][:, :mesh.dim])
     damage.require_sound_values(mesh, displacement)
     attributes = {name: dict(rest[name].attrs) for name in rest
                   if name in schema.ATTRIBUTE_GROUPS or name.startswith(schema.NEAR_PREFIX)}
@@ -483,7 +484,7 @@ def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     if schema.RESIDUAL_IMAGE not in file:
         return None
     image = read_array(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL])
-    if image.ndim != 2 or image.dtype.kind != "f" or not image.size:
+    if image.ndim not in (2, 3) or image.dtype.kind != "f" or not image.size:
         raise ValueError(f"{schema.RESIDUAL}: an array of {image.dtype}, shape {image.shape}; rows of numbers expected")
     return image.astype(np.float32, copy=False)
 
@@ -510,9 +511,14 @@ def merge_pieces(grid: Arrays, points: Array, global_node_ids: IntArray,
     counts = np.delete(np.diff(offsets, append=0), last)
     starts, counts = starts[order], counts[order]
     picked = list_ranges(starts, counts)
-    mesh = Mesh(np.ascontiguousarray(points[first_copy, :2]), connectivity[picked].astype(np.int64),
+    mesh = Mesh(np.ascontiguousarray(points[first_copy, :get_dim(grid["Types"])]), connectivity[picked].astype(np.int64),
                 find_offsets(counts), grid["Types"][order].astype(np.uint8))
     return mesh, first_copy, order
+
+
+def get_dim(types: Any) -> int:
+    """Tell whether the mesh of a file lies in the plane or in space, 2 or 3, by the types of its cells."""
+    return CELL_TYPES[int(types[0])].dim
 
 
 def _fields(group: Any, pick: Callable[[Any], NDArray[Any]], flipped: bool) -> dict[str, NDArray[Any]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.9"
+SCHEMA_VERSION = "1.10"
 VERSION, Y_AXIS = OF_FORMAT = "ddic_schema", "y_axis"
 VTKHDF_VERSION = (2, 0)
 
@@ -59,17 +59,15 @@ NODAL_INFINITESIMAL = "nodal_strain_infinitesimal"
 NODAL_GREEN_LAGRANGE = "nodal_strain_green_lagrange"
 NODAL_HENCKY = "nodal_strain_hencky"
 NODAL_STRAINS = {"infinitesimal": NODAL_INFINITESIMAL, "green-lagrange": NODAL_GREEN_LAGRANGE, "hencky": NODAL_HENCKY}
-NODAL_PRINCIPAL_1 = "nodal_principal_strain_1"
-NODAL_PRINCIPAL_2 = "nodal_principal_strain_2"
+NODAL_PRINCIPAL = ("nodal_principal_strain_1", "nodal_principal_strain_2", "nodal_principal_strain_3")
 NODAL_VON_MISES = "nodal_von_mises_strain"
 RESIDUAL_RMS = "residual_rms"
 RESIDUAL_N_PIXELS = "residual_n_pixels"
 EQUIVALENT_ERROR = "equivalent_error"
 DOUBTFUL = "doubtful"
 EXCLUDED = "excluded"
-SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v")
-SIGMA_NODAL_STRAIN = ("sigma_exx", "sigma_eyy", "sigma_exy")
-SIGMA_CELL_STRAIN = ("cell_sigma_exx", "cell_sigma_eyy", "cell_sigma_exy")
+SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v", "sigma_w")
+"""Names by axis, of which a field in the plane has the first two; so have the principal strains above."""
 REGULARIZATION_BIAS = "regularization_bias"
 
 EXCLUDED_STATES = (1, 2, 3, 5)
@@ -103,8 +101,24 @@ class Verdict:
 
 VECTOR, SYMMETRIC_TENSOR = 3, 6
 AXES_OF_IMAGE, AXES_OF_MESH_FILE = "image", "mesh file"
-IN_THE_PLANE = {"xx": 0, "yy": 1, "xy": 3}
-"""Places of the components in the plane among the file's XX, YY, ZZ, XY, YZ, XZ."""
+AXES = "xyz"
+COMPONENTS = {"xx": 0, "yy": 1, "zz": 2, "xy": 3, "yz": 4, "xz": 5}
+"""Places of a symmetric tensor's components in the file."""
+
+
+def list_components(dim: int) -> dict[str, int]:
+    """List the components that a symmetric tensor has in the plane or in space, with their places in the file."""
+    return {name: place for name, place in COMPONENTS.items() if set(name) <= set(AXES[:dim])}
+
+
+def list_sigma_strains(dim: int) -> tuple[str, ...]:
+    """Name the standard deviations of the strains at the nodes: sigma_exx, sigma_eyy, ..."""
+    return tuple(f"sigma_e{component}" for component in list_components(dim))
+
+
+def list_cell_sigma_strains(dim: int) -> tuple[str, ...]:
+    """Name the standard deviations of the strains of the cells: cell_sigma_exx, cell_sigma_eyy, ..."""
+    return tuple(f"cell_{name}" for name in list_sigma_strains(dim))
 
 
 @dataclass(frozen=True)
@@ -154,16 +168,18 @@ def point_fields(length_unit: str | None, *, independent: bool = False) -> tuple
     return fields
 
 
-def nodal_strain_fields() -> tuple[FieldSpec, ...]:
+def nodal_strain_fields(dim: int = 2) -> tuple[FieldSpec, ...]:
     """List the strains at the nodes, recovered from the cells around them, in the order of the file."""
     of_hencky = "of the logarithmic strain"
+    places = ("larger", "smaller") if dim == 2 else ("largest", "middle", "smallest")
+    in_the_plane, constant = (" in the plane", ", volume constant") if dim == 2 else ("", "")
     return (
         FieldSpec(NODAL_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain at the node"),
         FieldSpec(NODAL_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1", "Green-Lagrange strain at the node"),
         FieldSpec(NODAL_HENCKY, SYMMETRIC_TENSOR, np.float64, "1", "logarithmic strain (Hencky) at the node, ln U"),
-        FieldSpec(NODAL_PRINCIPAL_1, 1, np.float64, "1", f"larger principal value in the plane {of_hencky}"),
-        FieldSpec(NODAL_PRINCIPAL_2, 1, np.float64, "1", f"smaller principal value in the plane {of_hencky}"),
-        FieldSpec(NODAL_VON_MISES, 1, np.float64, "1", f"equivalent strain of von Mises {of_hencky}, volume constant"),
+        *(FieldSpec(name, 1, np.float64, "1", f"{place} principal value{in_the_plane} {of_hencky}")
+          for name, place in zip(NODAL_PRINCIPAL, places, strict=False)),
+        FieldSpec(NODAL_VON_MISES, 1, np.float64, "1", f"equivalent strain of von Mises {of_hencky}{constant}"),
     )
 
 
@@ -189,14 +205,14 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
     return (*fields, FieldSpec(CAMERA, 1, np.int32, "1", "camera that measures the cell: 0 the far field, 1 ... near"))
 
 
-def uncertainty_point_fields(*, regularized: bool) -> tuple[FieldSpec, ...]:
+def uncertainty_point_fields(dim: int = 2, *, regularized: bool) -> tuple[FieldSpec, ...]:
     """List what a case may ask of errors at nodes, with the bias if ``regularized``, in the order of the file."""
     of_noise = "standard deviation that the images' noise leaves in"
     fields = (
         *(FieldSpec(name, 1, np.float64, "px", f"{of_noise} the displacement along {axis}")
-          for name, axis in zip(SIGMA_DISPLACEMENT, "xy", strict=True)),
+          for name, axis in zip(SIGMA_DISPLACEMENT, AXES[:dim], strict=False)),
         *(FieldSpec(name, 1, np.float64, "1", f"{of_noise} the infinitesimal strain {component} at the node")
-          for name, component in zip(SIGMA_NODAL_STRAIN, ("xx", "yy", "xy"), strict=True)),
+          for name, component in zip(list_sigma_strains(dim), list_components(dim), strict=True)),
     )
     if not regularized:
         return fields
@@ -204,17 +220,17 @@ def uncertainty_point_fields(*, regularized: bool) -> tuple[FieldSpec, ...]:
                                "estimated displacement less the true one, as far as regularization is the reason"))
 
 
-def uncertainty_cell_fields() -> tuple[FieldSpec, ...]:
+def uncertainty_cell_fields(dim: int = 2) -> tuple[FieldSpec, ...]:
     """List what is known of the errors on the cells, where the case asks for it, in the order of the file."""
     return tuple(FieldSpec(name, 1, np.float64, "1", "standard deviation that the images' noise leaves in the "
                            f"infinitesimal strain {component} at the cell's centre")
-                 for name, component in zip(SIGMA_CELL_STRAIN, ("xx", "yy", "xy"), strict=True))
+                 for name, component in zip(list_cell_sigma_strains(dim), list_components(dim), strict=True))
 
 
 def list_all_fields() -> tuple[FieldSpec, ...]:
-    """List all fields that a result may have, at the nodes and on the cells."""
-    return (*point_fields("px", independent=True), *nodal_strain_fields(), *cell_fields(2),
-            *uncertainty_point_fields(regularized=True), *uncertainty_cell_fields())
+    """List all fields that a result may have, at the nodes and on the cells: in space, which has all of a plane's."""
+    return (*point_fields("px", independent=True), *nodal_strain_fields(3), *cell_fields(2),
+            *uncertainty_point_fields(3, regularized=True), *uncertainty_cell_fields(3))
 
 
 def begin_file(file: Any, *, flipped: bool) -> None:
@@ -296,9 +312,9 @@ def physical_path(result: Path) -> Path:
     return result.with_name(f"{result.stem}.physical.vtkhdf")
 
 
-def pick_in_the_plane(tensors: NDArray[Any]) -> NDArray[Any]:
-    """Pick xx, yy, xy, (n, 3), of symmetric tensors as the file has them, (n, 6)."""
-    return tensors[:, list(IN_THE_PLANE.values())]
+def pick_components(tensors: NDArray[Any], dim: int) -> NDArray[Any]:
+    """Pick xx, yy, xy, (n, 3), or all in space, of symmetric tensors as the file has them, (n, 6)."""
+    return tensors[:, list(list_components(dim).values())]
 
 
 def flip_components(values: NDArray[Any]) -> NDArray[Any]:

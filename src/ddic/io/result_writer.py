@@ -90,7 +90,7 @@ class ResultWriter:
             # One of an earlier run would point to an image that is no longer there.
             files.remove_old(schema.sidecar_path(path))
         for camera, grid in enumerate(self._grids):
-            _write_sidecar(path, camera, width=grid.width, height=grid.height, flip_y=self._flip_y, files=files)
+            _write_sidecar(path, camera, grid.extent.sizes, flip_y=self._flip_y, files=files)
         if schema.UNITS in self._file and schema.DISPLACEMENT_PHYSICAL in self._file.get(schema.POINT_DATA, ()):
             write_physical_sidecar(path, self._file, files)
         else:
@@ -126,17 +126,17 @@ class ResultWriter:
         file that are returned.
         """
         group = schema.residual_group(len(self._grids))
-        data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", (grid.height, grid.width),
-                                         "<f4", chunks=grid.shape, compression="gzip", compression_opts=1,
+        data = self._file.create_dataset(f"{group}/{schema.RESIDUAL}", grid.extent.shape, "<f4",
+                                         chunks=grid.shape, compression="gzip", compression_opts=1,
                                          shuffle=True, fillvalue=np.nan)
         data.attrs.update(unit="grey level", description="f(x) - g(x + u), NaN where not correlated; rows go down")
-        self._file[group].attrs["origin"] = np.zeros(2)
+        self._file[group].attrs["origin"] = np.zeros(len(grid.shape))
         self._grids.append(grid)
         places = np.empty(len(numbers), np.int64)
         # In the order of chunks, whoever has them.
         for k in np.argsort(numbers):
             window = grid.locate_chunk(int(numbers[k]))
-            places[k] = self._new.create_chunk(data, (window.y0, window.x0), int(n_bytes[k]))
+            places[k] = self._new.create_chunk(data, window.lower[::-1], int(n_bytes[k]))
         self._new.require_written()
         return places
 
@@ -232,18 +232,20 @@ def _link(result: Path, name: str) -> h5py.ExternalLink:
     return h5py.ExternalLink(result.name, name)
 
 
-def _write_sidecar(result: Path, camera: int, *, width: int, height: int, flip_y: bool, files: NewFiles) -> None:
+def _write_sidecar(result: Path, camera: int, sizes: Sequence[int], *, flip_y: bool, files: NewFiles) -> None:
     """Write the ImageData file that shows a residual image of a result, named by ``sidecar_path``.
 
     It holds no pixels: an HDF5 external link leads to the image in the result file, so both move together. ``camera``
-    is 0 for the far camera, or the only one; then the near ones. ``width`` and ``height`` are those of the image,
-    pixels. ``flip_y`` shows rows upwards (through VTKHDF's Direction, spacings being positive).
+    is 0 for the far camera, or the only one; then the near ones. ``sizes`` are the image's along each axis, pixels.
+    ``flip_y`` shows rows upwards (through VTKHDF's Direction, spacings being positive).
     """
     with new_hdf5(files.begin(schema.sidecar_path(result, camera))) as new:
         file = new.file
         schema.begin_file(file, flipped=flip_y)
         group = schema.create_vtk_group(file, "ImageData")
-        group.attrs["WholeExtent"] = np.array([0, width - 1, 0, height - 1, 0, 0], np.int64)
+        last = np.zeros(3, np.int64)
+        last[:len(sizes)] = np.subtract(sizes, 1)
+        group.attrs["WholeExtent"] = np.stack([np.zeros(3, np.int64), last], axis=1).ravel()
         group.attrs["Origin"] = np.zeros(3)
         group.attrs["Spacing"] = np.ones(3)
         group.attrs["Direction"] = np.diag([1.0, -1.0 if flip_y else 1.0, 1.0]).ravel()
@@ -293,10 +295,12 @@ def _list_sidecars(result: Path) -> Iterator[Path]:
 def _write_moved_sidecar(sidecar: Path, target: Path, camera: int) -> None:
     """Write anew what leads to a residual image by the name of its file."""
     with open_hdf5(sidecar) as file:
-        _, last_column, _, last_row, _, _ = file[schema.VTKHDF].attrs["WholeExtent"]
+        last = file[schema.VTKHDF].attrs["WholeExtent"][1::2].tolist()
         flip_y = schema.is_flipped(file)
+    # A plane image has the place 0 alone along the third axis.
+    sizes = [place + 1 for place in last if place > 0]
     with replaced_together() as files:
-        _write_sidecar(target, camera, width=int(last_column) + 1, height=int(last_row) + 1, flip_y=flip_y, files=files)
+        _write_sidecar(target, camera, sizes, flip_y=flip_y, files=files)
 
 
 def _has_length_unit(result: Path) -> bool:

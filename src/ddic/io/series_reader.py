@@ -17,7 +17,7 @@ from ddic.io import result_schema as schema
 from ddic.io.damaged_result import require_sound_fields, require_sound_frames
 from ddic.io.hdf5_file import NONE_KNOWN, READ_ERRORS, open_hdf5, read_array
 from ddic.io.input_file import FileStamps, as_path, is_readable_file
-from ddic.io.result_reader import Result, opened_result, read_open_file, read_result
+from ddic.io.result_reader import Result, get_dim, opened_result, read_open_file, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_covered_areas
 
@@ -179,16 +179,17 @@ ROWS = 1 << 18
 
 
 def find_displacement_range(series: SeriesResult) -> tuple[Array, Array]:
-    """Find the least and the largest displacement of a series, (2,) each, pixels, y down.
+    """Find the least and the largest displacement of a series, (dim,) each, pixels, y down.
 
     Nodes that were not measured do not count; nan where none was. The series has at least one frame.
     """
-    low, high = np.full(2, np.nan), np.full(2, np.nan)
     with opened_result(series.path, series.known) as (_, file):
+        dim = get_dim(file[schema.VTKHDF]["Types"])
+        low, high = np.full(dim, np.nan), np.full(dim, np.nan)
         stored = file[schema.POINT_DATA][schema.DISPLACEMENT]
         require_sound_fields({schema.DISPLACEMENT: stored}, len(stored))
         for begin in range(0, len(stored), ROWS):
-            displacement = stored[begin:begin + ROWS, :2]
+            displacement = stored[begin:begin + ROWS, :dim]
             low = np.fmin(low, np.fmin.reduce(displacement))
             high = np.fmax(high, np.fmax.reduce(displacement))
         if schema.is_flipped(file):
@@ -206,10 +207,10 @@ class SeriesHistory:
         Unit chosen by the user.
     is_measured : (n,) array of bool
         Of each frame.
-    lowest, highest, mean : (n, 2) array
+    lowest, highest, mean : (n, dim) array
         Displacement components of measured nodes, pixels.
-    principal_strains : (n, 2) array
-        Means over the area of the measured specimen, the larger one first; of the logarithmic strain.
+    principal_strains : (n, dim) array
+        Means over the measured specimen, the largest one first; of the logarithmic strain.
     residual : (n,) array
         Standard deviation, grey levels.
     noise_floor : (n,) array
@@ -233,9 +234,9 @@ def gather_history(series: SeriesResult) -> SeriesHistory:
     """Gather what the frames of a series, at least one, come to, measured or not; they are read one after the other."""
     records = series.records
     is_measured = np.isin([record["number"] for record in records], series.numbers)
-    sizes = np.full((len(records), 4, 2), np.nan)
-    for place, result in zip(np.flatnonzero(is_measured), series, strict=True):
-        sizes[place] = _measure_sizes(result)
+    measured = np.array([_measure_sizes(result) for result in series])
+    sizes = np.full((len(records), *measured.shape[1:]), np.nan)
+    sizes[is_measured] = measured
 
     def list_numbers(key: str) -> Array:
         # None becomes nan.
@@ -250,18 +251,17 @@ def gather_history(series: SeriesResult) -> SeriesHistory:
 
 
 def _measure_sizes(result: Result) -> Array:
-    """Least, largest and mean displacement and the mean principal strains, (4, 2); nan where nothing was measured."""
-    displacement = result.displacement[result.measured_nodes]
+    """Least, largest and mean displacement and the mean principal strains, (4, dim); nan where nothing was measured."""
+    displacement, dim = result.displacement[result.measured_nodes], result.mesh.dim
     if not len(displacement):
-        return np.full((4, 2), np.nan)
-    strains = [_average(result.mesh, result.point_data[name])
-               for name in (schema.NODAL_PRINCIPAL_1, schema.NODAL_PRINCIPAL_2)]
+        return np.full((4, dim), np.nan)
+    strains = [_average(result.mesh, result.point_data[name]) for name in schema.NODAL_PRINCIPAL[:dim]]
     return np.array([displacement.min(axis=0), displacement.max(axis=0), displacement.mean(axis=0),
                      strains])
 
 
 def _average(mesh: Mesh, values: Array) -> float:
-    """Mean of values at nodes (n_nodes,) over the area of the cells that know them all."""
+    """Mean of values at nodes (n_nodes,) over the cells that know them all, by their areas or volumes."""
     areas, _ = measure_covered_areas(mesh)
     of_cells = np.add.reduceat(values[mesh.connectivity], mesh.offsets[:-1]) / np.diff(mesh.offsets)
     is_known = np.isfinite(of_cells)

@@ -120,49 +120,49 @@ def convert_to_json(value: Any) -> Any:
     return value
 
 
-COLUMNS = ("x", "y", "u", "v")
-"""Columns that are read; others may stand beside them."""
+COLUMNS = {2: ("x", "y", "u", "v"), 3: ("x", "y", "z", "u", "v", "w")}
+"""Columns that are read, of points in an image and in a volume; others may stand beside them."""
 
 _SEPARATORS = ",;\t"
 
 
-def read_point_table(path: Path) -> tuple[Array, IntArray]:
-    """Read displacements at points, one at least, from a CSV file: x, y, u, v, (n, 4), and the row of each, from 1.
+def read_point_table(path: Path, dim: int = 2) -> tuple[Array, IntArray]:
+    """Read displacements at points, one at least, from a CSV file: COLUMNS, (n, 2 dim), and the row of each, from 1.
 
-    A header row names the columns x, y, u and v, in any order, then comes a row for each point; separated by commas,
-    semicolons or tabs. Empty rows are passed over. Raises InputError where the file is missing or holds something else,
+    A header row names the columns, in any order, then comes a row for each point; separated by commas, semicolons or
+    tabs. Empty rows are passed over. Raises InputError where the file is missing or holds something else,
     with the row and the column.
     """
-    text = read_text(path, "table of points", "check the path")
+    text, columns = read_text(path, "table of points", "check the path"), COLUMNS[dim]
     lines = text.splitlines()
     separator = max(_SEPARATORS, key=lines[0].count) if lines else ","
     rows = [(number, row) for number, row in enumerate(csv.reader(lines, delimiter=separator), 1)
             if any(cell.strip() for cell in row)]
     if not rows:
-        raise InputError(f"{path}: is empty; give a header row x,y,u,v and a row for each point")
-    places = _find_columns(path, rows[0][1])
+        raise InputError(f"{path}: is empty; give a header row {','.join(columns)} and a row for each point")
+    places = _find_columns(path, rows[0][1], columns)
     if len(rows) == 1:
-        raise InputError(f"{path}: holds a header and no point; give a row x,y,u,v for each point, pixels")
-    values = [_convert_row(path, number, row, places) for number, row in rows[1:]]
+        raise InputError(f"{path}: holds a header and no point; give a row {','.join(columns)} for each point, pixels")
+    values = [_convert_row(path, number, row, dict(zip(columns, places, strict=True))) for number, row in rows[1:]]
     return np.array(values), np.array([number for number, _ in rows[1:]], dtype=np.int64)
 
 
-def _find_columns(path: Path, header: Sequence[str]) -> list[int]:
-    """Place of x, y, u and v in a row."""
+def _find_columns(path: Path, header: Sequence[str], columns: Sequence[str]) -> list[int]:
+    """Place of each column in a row."""
     names = [name.strip().lower() for name in header]
-    for column in COLUMNS:
+    for column in columns:
         if names.count(column) != 1:
             how = "no column" if column not in names else "more than one column"
-            raise InputError(f'{path}: row 1: {how} "{column}" among {", ".join(header)}; name the columns x, y, u, v '
-                             "in the first row")
-    return [names.index(column) for column in COLUMNS]
+            raise InputError(f'{path}: row 1: {how} "{column}" among {", ".join(header)}; name the columns '
+                             f"{', '.join(columns)} in the first row")
+    return [names.index(column) for column in columns]
 
 
-def _convert_row(path: Path, number: int, row: Sequence[str], places: Sequence[int]) -> list[float]:
+def _convert_row(path: Path, number: int, row: Sequence[str], places: Mapping[str, int]) -> list[float]:
     values = []
-    for name, place in zip(COLUMNS, places, strict=True):
+    for name, place in places.items():
         if place >= len(row):
-            raise InputError(f"{path}: row {number}: column {name} is missing; give x, y, u and v of each point")
+            raise InputError(f"{path}: row {number}: column {name} is missing; give {', '.join(places)} of each point")
         try:
             value = float(row[place])
         except ValueError:

@@ -391,12 +391,12 @@ class _ReferenceSession:
                 for state, field in zip(states, fields, strict=True)]
 
     def _gather(self, state: FrameState) -> Array:
-        """The displacement of all nodes since the first reference image, (n_nodes, 2), pixels; collective."""
-        reference = self.session.problem.reference
+        """The displacement of all nodes since the first reference image, (n_nodes, dim), pixels; collective."""
+        dim, reference = self.images.case.dim, self.session.problem.reference
         # The unknowns of the subdomains are displacements of nodes.
-        own = [(subdomain.node_ids, state.unknowns[subdomain.index].reshape(-1, 2))
+        own = [(subdomain.node_ids, state.unknowns[subdomain.index].reshape(-1, dim))
                for subdomain in reference.subdomains]
-        return place_at_nodes(self.images.team.gather_lists(own), reference.region.n_nodes)
+        return place_at_nodes(self.images.team.gather_lists(own), reference.region.n_nodes, dim)
 
     def close(self) -> None:
         """Free PETSc's objects."""

@@ -50,11 +50,11 @@ class FieldDeviations:
 
     Attributes
     ----------
-    displacement : (n_nodes, 2) array
-        Of u and v, pixels.
-    nodal_strain : (n_nodes, 3) array
-        Of the infinitesimal strain at nodes, xx, yy, xy, no unit.
-    cell_strain : (n_cells, 3) array
+    displacement : (n_nodes, dim) array
+        Of u, v and perhaps w, pixels.
+    nodal_strain : (n_nodes, n_components) array
+        Of the infinitesimal strain at nodes, components as ``Strain`` has them, no unit.
+    cell_strain : (n_cells, n_components) array
         Of that in the middle of cells.
     opening : (n_places, 2) array
         Of the tangential and the normal opening at places along discontinuities, pixels.
@@ -82,7 +82,7 @@ class FieldUncertainty:
         Mean share of the deformed image's noise that reaches b through the spline, no unit.
     deviations : list of FieldDeviations
         Of each owned subdomain.
-    bias : list of (n_nodes, 2) array or None
+    bias : list of (n_nodes, dim) array or None
         Estimated displacement less the true one, as far as regularization makes the difference, pixels; None without.
     force_noise : ForceNoise or None
         How strongly the residual acts on displacements, where it tells the noise; None where the noise is given.
@@ -208,8 +208,11 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
     ``unmeasured`` are the nodes of each subdomain that nothing holds: they have nan, and cells about them are as good
     as not there.
     """
-    squares = [(np.zeros((s.mesh.n_nodes, 2)), np.zeros((s.mesh.n_nodes, 3)), np.zeros((s.mesh.n_cells, 3)),
-                np.zeros((len(of.lines), 2))) for s, of in zip(subdomains, openings, strict=True)]
+    dim = subdomains[0].mesh.dim
+    n_components = dim * (dim + 1) // 2
+    squares = [(np.zeros((s.mesh.n_nodes, dim)), np.zeros((s.mesh.n_nodes, n_components)),
+                np.zeros((s.mesh.n_cells, n_components)), np.zeros((len(of.lines), 2)))
+               for s, of in zip(subdomains, openings, strict=True)]
     at_rest = Field.zero(team, subdomains)
     for sample in range(forces.n_samples):
         b = at_rest.with_parts(scale * b_s for b_s in forces.generate(sample))
@@ -255,8 +258,8 @@ def _measure_rms(team: Team, subdomains: Sequence[Subdomain], deviations: Sequen
 
 def _displace(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array],
               unmeasured: Sequence[BoolArray]) -> list[Array]:
-    """Displacement of each subdomain's nodes, the mean of copies, nan where unmeasured, (n_nodes, 2); collective."""
-    shares = [(s.kinematics.tangent @ q_s[:s.n_field]).reshape(-1, 2) / s.node_multiplicity[:, None]
+    """Displacement of each subdomain's nodes, the mean of copies, nan where unmeasured, (n_nodes, dim); collective."""
+    shares = [(s.kinematics.tangent @ q_s[:s.n_field]).reshape(-1, s.mesh.dim) / s.node_multiplicity[:, None]
               for s, q_s in zip(subdomains, q, strict=True)]
     displacements = sum_shared_nodes(team, subdomains, shares)
     for u, is_unmeasured in zip(displacements, unmeasured, strict=True):

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displacements: Sequence[Array]) -> list[Array]:
-    """Recover the displacement gradient du_c / dx_j at the nodes of all subdomains, (n_nodes, 2, 2); collective.
+    """Recover the displacement gradient du_c / dx_j at the nodes of all subdomains, (n_nodes, dim, dim); collective.
 
     Displacements are those of nodes, (n_dofs,), pixels, the same at copies of a node. One value a node, whatever the
     partition; no unit.
@@ -62,22 +62,22 @@ def recover_nodal_gradients(team: Team, subdomains: Sequence[Subdomain], displac
 
 
 def describe_nodal_strains(gradients: Array) -> dict[str, NDArray[Any]]:
-    """Compute the result file's strains at points by name, (n,) or (n, 6), of gradients du_c / dx_j, (n, 2, 2)."""
+    """Compute the result file's strains at points by name, (n,) or (n, 6), of gradients du_c / dx_j, (n, dim, dim)."""
     large = compute_green_lagrange(gradients)
     hencky = compute_hencky(large)
-    first, second = find_principal_strains(hencky).T
     return {
         schema.NODAL_INFINITESIMAL: convert_to_six_components(compute_infinitesimal(gradients)),
         schema.NODAL_GREEN_LAGRANGE: convert_to_six_components(large),
         schema.NODAL_HENCKY: convert_to_six_components(hencky),
-        schema.NODAL_PRINCIPAL_1: first,
-        schema.NODAL_PRINCIPAL_2: second,
+        **dict(zip(schema.NODAL_PRINCIPAL, find_principal_strains(hencky).T, strict=False)),
         schema.NODAL_VON_MISES: compute_von_mises_strain(hencky),
     }
 
 
 def convert_to_six_components(tensor: Array) -> Array:
-    """Write tensors in the plane, xx, yy, xy, (n, 3), as VTK does: xx, yy, zz, xy, yz, xz, (n, 6)."""
+    """Write tensors in the plane, xx, yy, xy, (n, 3), as VTK and those in space do: xx, yy, zz, xy, yz, xz, (n, 6)."""
+    if tensor.shape[1] == schema.SYMMETRIC_TENSOR:
+        return tensor
     zero = np.zeros(len(tensor))
     return np.stack([tensor[:, 0], tensor[:, 1], zero, tensor[:, 2], zero, zero], axis=1)
 
@@ -149,19 +149,19 @@ BATCH_POINTS = 1 << 14
 def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     """Write the mesh and the fields of all subdomains; collective, the writer is rank 0's."""
     team, images = measurement.team, measurement.inputs.case.imaging
-    n_nodes = measurement.region.n_nodes
+    n_nodes, dim = measurement.region.n_nodes, measurement.inputs.case.dim
     drawn = [draw_mesh(subdomain, n_nodes) for subdomain in measurement.subdomains]
     counts = [PieceCounts(1, piece.mesh.n_nodes, piece.mesh.n_cells, len(piece.mesh.connectivity)) for piece in drawn]
     mine = np.array(add_counts(counts))
     before, total = (PieceCounts(*(int(n) for n in found)) for found in (team.sum_below(mine), team.sum(mine)))
     length_unit = None if images.pixel_size is None else images.length_unit
     at_points = (*schema.point_fields(length_unit, independent=measurement.independent is not None),
-                 *schema.nodal_strain_fields())
+                 *schema.nodal_strain_fields(dim))
     on_cells = schema.cell_fields(len(measurement.cameras))
     uncertainty = measurement.uncertainty
     if uncertainty is not None:
-        at_points = (*at_points, *schema.uncertainty_point_fields(regularized=uncertainty.bias is not None))
-        on_cells = (*on_cells, *schema.uncertainty_cell_fields())
+        at_points = (*at_points, *schema.uncertainty_point_fields(dim, regularized=uncertainty.bias is not None))
+        on_cells = (*on_cells, *schema.uncertainty_cell_fields(dim))
     layout = team.on_root(lambda: require_held(writer).create_mesh(total, at_points, on_cells))
     gradients = recover_nodal_gradients(team, measurement.subdomains, measurement.displacements)
     write_blocks(team, writer, _place_batches(layout, before, counts, _make_batches(measurement, drawn, gradients)))
@@ -188,20 +188,22 @@ def _group(counts: Sequence[int]) -> Iterator[range]:
 
 def _make_batches(measurement: Measurement, drawn: Sequence[DrawnMesh],
                   gradients: Sequence[Array]) -> Iterator[tuple[range, Piece]]:
-    """Pieces of owned subdomains in a row, and joined to one; ``gradients`` at nodes are (n_nodes, 2, 2) each."""
+    """Pieces of owned subdomains in a row, and joined to one; ``gradients`` at nodes are (n_nodes, dim, dim) each."""
+    dim = measurement.inputs.case.dim
     displacements, subdomains = measurement.displacements, measurement.subdomains
     for numbers in _group([piece.mesh.n_nodes for piece in drawn]):
         joined = join_pieces([_make_piece(measurement, drawn[number], number, displacements[number])
                               for number in numbers])
         # Strains of all at once: for one small piece after the other, numpy's calls take longer than their sums.
-        of_points = np.concatenate([drawn[number].interpolate(gradients[number].reshape(-1, 4)) for number in numbers])
+        of_points = np.concatenate([drawn[number].interpolate(gradients[number].reshape(-1, dim * dim))
+                                    for number in numbers])
         meshes = [subdomains[number].mesh for number in numbers]
         strain = compute_strain(join_meshes(meshes), np.concatenate([displacements[number] for number in numbers]))
         first_cells = np.cumsum([0, *(mesh.n_cells for mesh in meshes)])
         cells = np.concatenate([drawn[number].cells + first_cells[k] for k, number in enumerate(numbers)])
         on_cells = {schema.STRAIN_INFINITESIMAL: convert_to_six_components(strain.infinitesimal[cells]),
                     schema.STRAIN_GREEN_LAGRANGE: convert_to_six_components(strain.green_lagrange[cells])}
-        at_points = describe_nodal_strains(of_points.reshape(-1, 2, 2))
+        at_points = describe_nodal_strains(of_points.reshape(-1, dim, dim))
         yield numbers, replace(joined, point_data={**joined.point_data, **at_points},
                                cell_data={**joined.cell_data, **on_cells})
 
@@ -228,8 +230,8 @@ def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Arra
         data[schema.INDEPENDENT] = drawn.interpolate(measurement.independent[number].reshape(-1, drawn.mesh.dim))
     if uncertainty is not None:
         found = uncertainty.deviations[number]
-        for names, values in ((schema.SIGMA_DISPLACEMENT, found.displacement),
-                              (schema.SIGMA_NODAL_STRAIN, found.nodal_strain)):
+        for names, values in ((schema.SIGMA_DISPLACEMENT[:drawn.mesh.dim], found.displacement),
+                              (schema.list_sigma_strains(drawn.mesh.dim), found.nodal_strain)):
             data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
         if uncertainty.bias is not None:
             data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
@@ -255,7 +257,7 @@ def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]
         data[schema.CAMERA] = np.full(n_cells, subdomain.camera, dtype=np.int32)
     if measurement.uncertainty is not None:
         deviations = measurement.uncertainty.deviations[number].cell_strain
-        data |= dict(zip(schema.SIGMA_CELL_STRAIN, deviations.T, strict=True))
+        data |= dict(zip(schema.list_cell_sigma_strains(subdomain.mesh.dim), deviations.T, strict=True))
     return data
 
 

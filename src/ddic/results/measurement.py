@@ -392,16 +392,16 @@ def gather_displacement(measurement: Measurement) -> Array | None:
     if gathered is None:
         return None
     return place_at_nodes([of_subdomain for of_rank in gathered for of_subdomain in of_rank],
-                          measurement.region.n_nodes)
+                          measurement.region.n_nodes, measurement.inputs.case.dim)
 
 
-def place_at_nodes(values: Iterable[tuple[IntArray, Array]], n_nodes: int) -> Array:
+def place_at_nodes(values: Iterable[tuple[IntArray, Array]], n_nodes: int, dim: int) -> Array:
     """Put the values of several parts of a mesh in their places, (n_nodes, dim).
 
     Each part has the numbers of its nodes in the whole mesh and a vector of each, (n, dim). Where parts share a node,
     that of the last counts; nan at nodes of no part.
     """
-    placed = np.full((n_nodes, 2), np.nan)
+    placed = np.full((n_nodes, dim), np.nan)
     for node_ids, of_part in values:
         placed[node_ids] = of_part
     return placed

@@ -134,7 +134,7 @@ def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
     else:
         pixels = image.read(image.extent)
         checksum = hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).hexdigest()
-    return {f"{name}_path": str(image.path), f"{name}_size": f"{image.width}x{image.height}",
+    return {f"{name}_path": str(image.path), f"{name}_size": "x".join(map(str, image.extent.sizes)),
             f"{name}_sha256": checksum}
 
 

@@ -34,13 +34,13 @@ compression less evenly."""
 
 @dataclass(frozen=True)
 class Patch:
-    """A rectangle of the residual image.
+    """A box of the residual image.
 
     Attributes
     ----------
     window : Window
         Its pixels.
-    values : (height, width) array
+    values : array of the window's shape
         Grey levels, NaN where its subdomain has no pixel.
     """
 
@@ -156,8 +156,8 @@ def write_residual_images(measurement: Measurement, writer: ResultWriter | None)
     views, residuals = measurement.whole.views, measurement.evaluation.residuals
     for camera in measurement.cameras:
         image = camera.reference.image
-        grid = ChunkGrid(image.width, image.height)
-        # In bands of rows: images of whole subdomains are as large as reference images.
+        grid = ChunkGrid(image.extent)
+        # In bands of rows, or of planes: images of whole subdomains are as large as reference images.
         seen = [(view, q, residual, view.correlation.split_bands(grid.shape[0]))
                 for view, q, residual in zip(views.flat, views.fill(measurement.q).flat, residuals.flat, strict=True)
                 if view.camera == camera.number]

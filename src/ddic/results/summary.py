@@ -11,7 +11,7 @@ import numpy as np
 from ddic.arrays import Array
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.io.replace_on_exit import NewFiles
-from ddic.io.result_schema import DISTRUST, LOOK, TRUST, Verdict
+from ddic.io.result_schema import AXES, DISTRUST, LOOK, TRUST, Verdict, list_components
 from ddic.io.text_files import convert_to_json, write_json
 from ddic.kinematics.strain import compute_strain
 from ddic.mesh.mesh import Mesh, join_meshes
@@ -48,9 +48,9 @@ class FieldRanges:
     Attributes
     ----------
     displacement_px : dict of (least, largest)
-        Of the nodes, by component: x, y; pixels.
+        Of the nodes, by component: x, y, perhaps z; pixels.
     strain : dict of (least, largest)
-        Infinitesimal, at the cells' centres, by component: xx, yy, xy; no unit.
+        Infinitesimal, at the cells' centres, by component: xx, yy, xy, or all six in space; no unit.
     """
 
     displacement_px: Mapping[str, tuple[float, float]]
@@ -178,13 +178,13 @@ def find_field_ranges(team: Team, fields: Sequence[tuple[Mesh, Array]]) -> Field
     # fmin and fmax take the number of a number and nan.
     least = np.fmin.reduce([low for low, _ in limits], axis=0).tolist()
     largest = np.fmax.reduce([high for _, high in limits], axis=0).tolist()
-    by_component = list(zip(least, largest, strict=True))
-    return FieldRanges(dict(zip(("x", "y"), by_component[:2], strict=True)),
-                       dict(zip(("xx", "yy", "xy"), by_component[2:], strict=True)))
+    by_component, dim = list(zip(least, largest, strict=True)), meshes[0].dim
+    return FieldRanges(dict(zip(AXES[:dim], by_component[:dim], strict=True)),
+                       dict(zip(list_components(dim), by_component[dim:], strict=True)))
 
 
 def _find_limits(mesh: Mesh, u: Array) -> tuple[Array, Array]:
-    """Least and largest of (u_x, u_y, e_xx, e_yy, e_xy), (5,) each; nan where nothing was measured."""
+    """Least and largest of the displacement's components, then of the strain's; nan where nothing was measured."""
     displacement, strain = u.reshape(-1, mesh.dim), compute_strain(mesh, u).infinitesimal
     return (np.concatenate([np.fmin.reduce(displacement, axis=0), np.fmin.reduce(strain, axis=0)]),
             np.concatenate([np.fmax.reduce(displacement, axis=0), np.fmax.reduce(strain, axis=0)]))

@@ -141,7 +141,7 @@ def prepare_search(team: Team, inputs: Inputs, measured: Sequence[MeasuredCells]
     ``measured`` is by camera, on rank 0. The search serves any number of frames.
     """
     case, last = inputs.case, team.size - 1
-    loaded = team.build_on_root(lambda: [load_given_start(case.start)])
+    loaded = team.build_on_root(lambda: [load_given_start(case.start, case.dim)])
     sent = team.send_from_root(loaded, last)
     given = loaded if team.is_root else sent
     regions = None

@@ -127,13 +127,19 @@ class PlacedStart:
     notes: tuple[str, ...]
 
 
-def load_given_start(section: StartSection) -> GivenStart | None:
-    """Load what a case gives to start from, None where it gives nothing; raises InputError where a file is wrong."""
+def load_given_start(section: StartSection, dim: int) -> GivenStart | None:
+    """Load what a case in ``dim`` dimensions gives to start from, None where it gives nothing.
+
+    Raises InputError where a file is wrong.
+    """
     if section.from_result is not None:
         result, name = read_frame_or_last(section.from_result, section.frame, "start.frame =")
+        if result.mesh.dim != dim:
+            raise InputError(f"start.from_result = {section.from_result}: a field in {result.mesh.dim} dimensions, of a "
+                             f"case in {dim}; start from another result")
         require_known_displacement(result)
         return keep_displacement(result, name)
-    return load_start_points(section)
+    return load_start_points(section, dim)
 
 
 def keep_displacement(result: Result, name: str) -> EarlierResult:
