@@ -153,7 +153,7 @@ def _compare(paths: tuple[Path, Path], stripe: NDArray[np.int64], kind: str,
     centres = clean.mesh.centroids[_find_others(clean, stripe)]
     scale = ColourScale(percentiles=percentiles)
     found = []
-    names = [f"strain {number}" for number in maps.PANELS] if kind == "strain" else [kind]
+    names = [f"strain {number}" for number in ("xx", "yy", "xy")] if kind == "strain" else [kind]
     panels = zip(names, _list_panels(clean, kind), _list_panels(spoilt, kind), strict=True)
     for axes, (name, panel, moved) in zip(_list_axes(clean, kind), panels, strict=True):
         ends, moved_ends = np.array(scale.find_limits(panel.values)), np.array(scale.find_limits(moved.values))

@@ -136,7 +136,7 @@ def _look(whole: RegionMesh, frame: Frame, number: int, at: State) -> OneCamera:
     gap = sparse.csr_matrix((mesh.n_dofs, len(dofs)))
     if case.regularization is not None:
         rows = sparse.csr_matrix((np.ones(len(dofs)), (dofs, np.arange(len(dofs)))), shape=(mesh.n_dofs, len(dofs)))
-        gap = rows @ assemble_stiffness(part, build_material(case.regularization))
+        gap = rows @ assemble_stiffness(part, build_material(case.regularization, 2))
     return OneCamera(dofs, weight * ratio**2 * hessian, weight * ratio * force, gap, seen)
 
 

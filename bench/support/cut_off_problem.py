@@ -126,8 +126,8 @@ def assemble_at(problem: TexturedMesh, section: RegularizationSection) -> Assemb
     texture = sum((measure_texture_energies(s.mesh.nodes, m, s.interior, wavelength)
                    for s, m in zip(problem.subdomains, problem.hessians, strict=True)), start=np.zeros(1))
     whole = problem.whole
-    eta = find_cut_off_weight(texture, measure_gap_energies(whole.mesh, build_material(section), whole.interior,
-                                                            wavelength))
+    material = build_material(section, whole.mesh.dim)
+    eta = find_cut_off_weight(texture, measure_gap_energies(whole.mesh, material, whole.interior, wavelength))
     systems = [LocalSystem(s, m, k, interface_weights(s.multiplicity, "consistent"), eta) for s, m, k
                in zip(problem.subdomains, problem.hessians, problem.stiffnesses, strict=True)]
     trace = sum(float(m.diagonal().sum()) for m in problem.hessians)
@@ -167,7 +167,7 @@ def assemble_one_domain(problem: TexturedMesh, section: RegularizationSection,
     hessian = sparse.coo_matrix((np.concatenate(values), places), shape=(n, n)).tocsr()
     whole = problem.whole
     kinematics = whole.kinematics.restrict(whole.mesh, np.arange(whole.mesh.n_nodes), np.arange(n))
-    kbar = controlled_stiffness(kinematics, build_material(section), whole.controlled.astype(float))
+    kbar = controlled_stiffness(kinematics, build_material(section, whole.mesh.dim), whole.controlled.astype(float))
     return (hessian + eta * (kbar.T @ kbar)).tocsr(), right
 
 

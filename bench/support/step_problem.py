@@ -281,7 +281,7 @@ def weighted_stiffness(subdomain: Subdomain, section: RegularizationSection, wei
     (n_field, n_field) csr_matrix
         Kbar_s.
     """
-    return controlled_stiffness(subdomain.kinematics, build_material(section), weights)
+    return controlled_stiffness(subdomain.kinematics, build_material(section, subdomain.mesh.dim), weights)
 
 
 def find_relative_difference(problem: StepProblem, dq: Sequence[Vector], reference: Vector) -> float:

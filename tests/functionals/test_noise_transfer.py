@@ -53,7 +53,7 @@ def test_it_is_the_variance_of_forces(shift: tuple[float, float]) -> None:
 def test_a_coarse_texture_gains_less_than_a_single_value() -> None:
     view = _view()
     half = np.full(view.correlation.mesh.n_dofs, 0.5)
-    white = find_cell_transfer(build_white_transfer(3), view, half)
+    white = find_cell_transfer(build_white_transfer(3, 2), view, half)
     # The cubic spline's sum of squares between two pixels is 0.756 (test_spline_noise), of four its square.
     np.testing.assert_allclose(white, 0.756**2, rtol=1e-3)
     of_texture = find_cell_transfer(build_transfer(correlate_slopes(view.correlation), 3), view, half)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.result_pieces import Piece

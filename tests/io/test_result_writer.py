@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import CHUNK_SIDES, ChunkGrid
 from ddic.io.new_hdf5 import write_block

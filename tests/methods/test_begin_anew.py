@@ -31,7 +31,7 @@ REGULARIZED = "[regularization]\ncut_off_wavelength = 48\n"
 
 def measure(session: DecomposedSession, team: Team, path: Path) -> list[NDArray[np.float64]]:
     """Unknowns of the frame g.tif."""
-    frame = open_frame(load_case(path).case, open_on_all_ranks(team))
+    frame = open_frame(load_case(path).case, open_on_all_ranks(team, 2))
     return [np.array(q) for q in session.measure(frame).q]
 
 

@@ -40,7 +40,7 @@ def known(mesh: Mesh, **more: object) -> Result:
     at_nodes = {name: np.column_stack([random.normal(0.0, 0.01, (mesh.n_nodes, 2)), np.zeros(mesh.n_nodes),
                                        random.normal(0.0, 0.01, mesh.n_nodes), np.zeros((mesh.n_nodes, 2))])
                 for name in (schema.NODAL_INFINITESIMAL, schema.NODAL_GREEN_LAGRANGE, schema.NODAL_HENCKY)}
-    for name in (*schema.SIGMA_DISPLACEMENT, *schema.SIGMA_NODAL_STRAIN[:2]):
+    for name in (*schema.SIGMA_DISPLACEMENT[:2], *schema.list_sigma_strains(2)[:2]):
         at_nodes[name] = random.uniform(0.01, 0.02, mesh.n_nodes)
     at_nodes[schema.DISPLACEMENT] = np.pad(u, ((0, 0), (0, 1)))
     on_cells = {schema.DOUBTFUL: (random.random(mesh.n_cells) < 0.1).astype(np.uint8)}

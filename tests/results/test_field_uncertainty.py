@@ -16,7 +16,7 @@ from ddic.parallel.team import Team
 from ddic.partition.sharing import build_subdomains
 from ddic.results.field_uncertainty import FieldDeviations, estimate_deviations, find_openings
 from ddic.solvers.dual.dual_step import DualSettings
-from ddic.solvers.probing import FEWEST_SAMPLES, LARGEST_FORCES, MOST_SAMPLES, prepare_samples
+from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, prepare_samples
 from ddic.visibility.noise_forces import NoiseForces, place_cells
 from support.linear import Decomposed, StepProblem, dense, linear_step, split
 from support.oracles import make_on_root
@@ -69,10 +69,11 @@ def _estimate(team: Team, wavelength: float | None, kind: str, n: int) -> tuple[
         return parts, estimate_deviations(team, parts.subdomains, step, forces, scale, measured, openings)
 
 
-@pytest.mark.parametrize("n_samples", [FEWEST_SAMPLES, MOST_SAMPLES])
-def test_cells_in_one_place_have_signs_of_their_own(n_samples: int) -> None:
+@pytest.mark.parametrize(("n_samples", "dim", "n"), [(FEWEST_SAMPLES, 2, 8), (MOST_SAMPLES, 2, 8),
+                                                      (MOST_SAMPLES, 3, 12), (MOST_SAMPLES, 3, 24)])
+def test_cells_in_one_place_have_signs_of_their_own(n_samples: int, dim: int, n: int) -> None:
     """As the parts of a cut cell have, and of another one in an irregular mesh: else what noise parts is off."""
-    places, n = np.zeros((4, 2), np.int64), LARGEST_FORCES
+    places = np.zeros((4, dim), np.int64)
     forces = [prepare_samples(np.tile(np.eye(n), (4, 1, 1)), np.arange(4), places, 0, n_samples).generate_forces(k)
               for k in range(n_samples)]
     products = np.einsum("kei,kfi->ef", forces, forces) / (n_samples * n)

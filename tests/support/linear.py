@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ from ddic.functionals.regularization import Material, controlled_stiffness
 from ddic.images.sub_image import MaskedSource
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.kinematics.nodal import NodalKinematics, NodalRegion
-from ddic.mesh.cell_type import Q4
+from ddic.mesh.cell_type import TET4
+from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.topology import find_boundary_nodes
 from ddic.parallel.distribution import split_evenly
@@ -70,7 +72,8 @@ class StepProblem:
         if self.eta == 0:
             return LocalSystem(subdomain, hessian, None, np.zeros(0), 0.0)
         weights = weights * subdomain.controlled
-        kbar = controlled_stiffness(kinematics, Material(), self.stiffness_scale * weights)
+        material = Material.default(subdomain.mesh.dim)
+        kbar = controlled_stiffness(kinematics, material, self.stiffness_scale * weights)
         return LocalSystem(subdomain, hessian, kbar, weights, self.eta)
 
     def with_unknowns(self, region: RegionKinematics) -> StepProblem:
@@ -85,28 +88,35 @@ class StepProblem:
         return replace(problem, q=rng.normal(size=n), b=diagonal * rng.normal(size=n))
 
 
+Kind = Literal["Q4", "Hex8", "Tet4"]
+FIRST = {2: (20.3, 20.7), 3: (12.3, 12.7, 12.1)}
+"""Where the cells begin, px, by dimension; as much is left beyond them."""
+
+
 @cache
-def linear_step(n: int = 16, wavelength: float | None = None) -> StepProblem:
-    """n x n slightly distorted Q4 of 8 px; wavelength (px): where texture and mechanics count alike."""
+def linear_step(n: int = 16, wavelength: float | None = None, kind: Kind = "Q4") -> StepProblem:
+    """n slightly distorted cells of 8 px along each axis; wavelength (px): where texture and mechanics count alike."""
     rng = np.random.default_rng(0)
-    side = int(CELL * n) + 40
-    noise = ndimage.gaussian_filter(rng.normal(size=(side, side)), 1.5)
+    first = FIRST[2 if kind == "Q4" else 3]
+    noise = ndimage.gaussian_filter(rng.normal(size=(int(CELL * n + 2 * first[0]),) * len(first)), 1.5)
     image = source(noise / noise.std() * 50 + 128)
-    x, y = np.meshgrid(20.3 + CELL * np.arange(n + 1), 20.7 + CELL * np.arange(n + 1))
-    nodes = np.stack([x.ravel(), y.ravel()], axis=1) + rng.uniform(-1, 1, (x.size, 2))
-    corner = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    mesh = build_mesh(nodes, {Q4: np.stack([corner, corner + 1, corner + n + 2, corner + n + 1], axis=1)})
+    grid = GridLines(tuple(begin + CELL * np.arange(n + 1) for begin in first))
+    nodes = grid.nodes + rng.uniform(-1, 1, (grid.n_nodes, grid.dim))
+    # Of a cube six tetrahedra, one for each way from corner 0 to corner 6 along edges.
+    ways = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
+    cells = {TET4: grid.cells[:, ways].reshape(-1, 4)} if kind == "Tet4" else {grid.cell_type: grid.cells}
+    mesh = build_mesh(nodes, cells)
     inside = np.ones(mesh.n_nodes, dtype=bool)
     inside[find_boundary_nodes(mesh)] = False
-    controlled = np.repeat(inside, 2) if wavelength else np.zeros(mesh.n_dofs, dtype=bool)
+    controlled = np.repeat(inside, mesh.dim) if wavelength else np.zeros(mesh.n_dofs, dtype=bool)
     part = read_correlation(mesh, image, 3)
     hessian = part.assemble_hessian()
     eta = 0.0
     if wavelength:
         wave = np.zeros(mesh.n_dofs)
-        wave[::2] = np.cos(2 * np.pi * mesh.nodes[:, 1] / wavelength)
+        wave[::mesh.dim] = np.cos(2 * np.pi * mesh.nodes[:, 1] / wavelength)
         whole = NodalKinematics(mesh, np.arange(mesh.n_dofs))
-        force = controlled_stiffness(whole, Material(), controlled.astype(float)) @ wave
+        force = controlled_stiffness(whole, Material.default(mesh.dim), controlled.astype(float)) @ wave
         eta = float(wave @ hessian @ wave / (force @ force))
     diagonal = hessian.diagonal()
     return StepProblem(NodalRegion(mesh), image, controlled, eta, rng.normal(size=mesh.n_dofs),
@@ -114,9 +124,9 @@ def linear_step(n: int = 16, wavelength: float | None = None) -> StepProblem:
 
 
 def split(mesh: Mesh, kind: str, n_subdomains: int) -> NDArray[np.int64]:
-    """Blocks (a square number of them) or METIS."""
-    side = round(n_subdomains**0.5)
-    return split_by_blocks(mesh, (side, side)) if kind == "blocks" else split_by_metis(mesh, n_subdomains)
+    """Blocks (a square, or cubic, number of them) or METIS."""
+    side = round(n_subdomains ** (1 / mesh.dim))
+    return split_by_blocks(mesh, (side,) * mesh.dim) if kind == "blocks" else split_by_metis(mesh, n_subdomains)
 
 
 def one_domain_solution(problem: StepProblem, parts: NDArray[np.int64], weighting: Weighting) -> NDArray[np.float64]:

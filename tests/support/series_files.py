@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.image_chunks import ChunkGrid
 from ddic.io.replace_on_exit import replaced_together
@@ -103,8 +104,7 @@ def _cut(frame: FrameFile, part: int, length_unit: str | None) -> Piece:
     tensor = frame.time * STRAIN * np.array([1.0, -0.5, 0.0, 0.0, 0.0, 0.0])
     for name in (schema.NODAL_INFINITESIMAL, schema.NODAL_GREEN_LAGRANGE, schema.NODAL_HENCKY):
         at_nodes[name] = np.tile(tensor, (len(sub.nodes), 1))
-    for name, value in ((schema.NODAL_PRINCIPAL_1, tensor[0]), (schema.NODAL_PRINCIPAL_2, tensor[1]),
-                        (schema.NODAL_VON_MISES, tensor[0])):
+    for name, value in zip((*schema.NODAL_PRINCIPAL[:2], schema.NODAL_VON_MISES), tensor[[0, 1, 0]], strict=True):
         at_nodes[name] = np.full(len(sub.nodes), value)
     on_cells = {spec.name: np.zeros(len(cells), spec.dtype) for spec in schema.cell_fields()}
     on_cells |= {schema.STRAIN_INFINITESIMAL: np.tile(tensor, (len(cells), 1)),

@@ -91,7 +91,7 @@ def test_cells_without_pixels_are_marked() -> None:
 def test_each_camera_has_its_noise_whoever_owns_its_cells() -> None:
     team = Team(MPI.COMM_WORLD)
     n = np.full(40, 256.0)
-    everything = [CellResiduals(k % 2, n, np.full(40, [4.0, 100.0][k % 2]) + np.where(np.arange(40) < k, 50.0, 0.0),
+    everything = [CellResiduals(2, k % 2, n, np.full(40, [4.0, 100.0][k % 2]) + np.where(np.arange(40) < k, 50.0, 0.0),
                                 np.full(40, 200.0)) for k in range(6)]
     own = split_evenly(np.ones(6), team.size)[team.rank]
     found = find_cell_errors(team, [everything[k] for k in own])

@@ -26,10 +26,10 @@ from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import open_on_all_ranks
 from ddic.inputs.inputs import StartPoints, check_start_points
 from ddic.inputs.masks import draw_mask
-from ddic.io.image_file import read_mask
 from ddic.io.input_file import as_path
 from ddic.io.mesh_file import convert_mesh
 from ddic.io.result_reader import Result
+from ddic.io.volume_file import open_mask, read_mask
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.mesh import Mesh, Similarity, build_mesh
@@ -259,7 +259,7 @@ def open_given_image(team: Team, given: ImageLike, name: str, shapes: Sequence[S
     image = given if isinstance(given, Image) else Image(given)
     pixels = image.pixels
     if isinstance(pixels, str | Path):
-        source = open_on_all_ranks(team)(Path(pixels))
+        source = open_on_all_ranks(team, dim)(Path(pixels))
         return team.together(lambda: _leave_pixels_out(image, source, name, shapes))
     in_memory = team.together(lambda: _hold_array(pixels, name, dim, keeps=keeps))
     masked = team.together(lambda: _leave_pixels_out(image, in_memory, name, shapes))
@@ -269,7 +269,7 @@ def open_given_image(team: Team, given: ImageLike, name: str, shapes: Sequence[S
 
 def _refuse_other_pixels(team: Team, image: ArraySource, name: str) -> None:
     """Refuse an array that is not the same on all ranks, each of which would correlate its own; collective."""
-    checksums = set(team.gather_lists([(image.values.shape, zlib.crc32(image.values.tobytes()))]))
+    checksums = set(team.gather_lists([(image.values.shape, zlib.crc32(image.values.data))]))
     if len(checksums) > 1:
         raise as_collective(InputError(f"{name}: the ranks were given different arrays; give all ranks the same image, "
                                        "or its file"))
@@ -294,8 +294,11 @@ def _hold_array(pixels: Any, name: str, dim: int, *, keeps: bool) -> ArraySource
 
 
 def _leave_pixels_out(image: Image, source: ImageSource, name: str, shapes: Sequence[Shape]) -> MaskedSource:
-    used = _used_pixels(image, source, name)
-    given = None if used is None else ArraySource(Path(f"{name}'s mask"), used.astype(np.uint8))
+    if isinstance(image.mask, str | Path) and not isinstance(image.pixels, np.ma.MaskedArray):
+        given: ImageSource | None = open_mask(Path(image.mask), source.extent)
+    else:
+        used = _used_pixels(image, source, name)
+        given = None if used is None else ArraySource(Path(f"{name}'s mask"), used.astype(np.uint8))
     mask = draw_mask(shapes, source.extent, "images.masked", given)
     check_finite(source, mask)
     return MaskedSource(source, mask, _find_saturation(image, source, name))

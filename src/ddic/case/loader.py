@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 from ddic.case.named_files import find_frames, is_pattern, is_series, list_named_files
 from ddic.case.schema import NO_IMAGES, Case, Location, find_section, list_sections
 from ddic.errors import InputError, describe_nearest
-from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file
+from ddic.io.input_file import FileStamps, as_path, find_real_path, is_readable_file, list_parts
 from ddic.io.text_files import parse_toml, read_text
 from ddic.mesh.mesh import Mesh
 from ddic.partition.ties import Tying
@@ -285,7 +285,7 @@ def load_text_leniently(text: str, path: Path) -> tuple[LoadedCase | None, list[
         return None, problems
     folder = path.resolve().parent
     missing = [f"{file}: no such file; check the path" for file in list_named_files(data, folder)
-               if not is_readable_file(file) and not is_pattern(file)]
+               if not any(map(is_readable_file, list_parts(file))) and not is_pattern(file)]
     case = _validate_without_bad_keys(data)
     if case is None:
         # Little else can be said of it.

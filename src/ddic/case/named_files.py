@@ -1,5 +1,6 @@
 """The files that a case names: what it reads; its deformed images, one or a series, in order and with their times."""
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from glob import glob
@@ -12,7 +13,7 @@ from pydantic import BaseModel
 from ddic.case.methods import find_method_section
 from ddic.case.schema import CameraSection, Case, OutputSection, find_section_in
 from ddic.errors import InputError
-from ddic.io.input_file import find_real_path, is_readable_file
+from ddic.io.input_file import DATASET, find_real_path, split_dataset, split_numbers
 
 PATTERN = re.compile(r"[*?\[]")
 """What makes a path a pattern."""
@@ -102,7 +103,7 @@ def _expand(section: CameraSection, name: str, file: Path) -> tuple[CameraSectio
     problems = []
     for path in given if isinstance(given, tuple) else (given,):
         # In the order in which people number them: 2 before 10.
-        matches = sorted(map(Path, glob(str(path))), key=_split_numbers) if is_pattern(path) else [path]
+        matches = find_matches(path) if is_pattern(path) else [path]
         found += matches
         if not matches:
             problems.append(f"{file}: {name}: deformed = \"{path}\": no file matches this pattern; check the folder")
@@ -111,12 +112,15 @@ def _expand(section: CameraSection, name: str, file: Path) -> tuple[CameraSectio
 
 def is_pattern(path: Path) -> bool:
     """Tell whether an absolute path stands for all files that match it: not where a file is called so."""
-    return PATTERN.search(str(path)) is not None and not is_readable_file(path)
+    file, _ = split_dataset(path)
+    return PATTERN.search(str(file)) is not None and not os.path.exists(file)
 
 
-def _split_numbers(path: Path) -> list[tuple[int, int, str]]:
-    parts = re.split(r"(\d+)", str(path))
-    return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
+def find_matches(pattern: Path) -> list[Path]:
+    """Find what matches a pattern, in the order of the numbers in names; an array in each file where it names one."""
+    file, name = split_dataset(pattern)
+    found = [f"{match}{DATASET}{name}" if name else match for match in glob(str(file))]
+    return sorted(map(Path, found), key=split_numbers)
 
 
 def _list_contradictions(case: Case) -> Iterator[str]:

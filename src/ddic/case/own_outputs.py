@@ -7,17 +7,16 @@ import stat
 import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from glob import glob
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
 from ddic.case.loader import LoadedCase
-from ddic.case.named_files import PATTERN, list_named_files
+from ddic.case.named_files import PATTERN, find_matches, list_named_files
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.io import result_schema
-from ddic.io.input_file import find_real_path, is_readable_file
+from ddic.io.input_file import find_real_path, is_readable_file, list_parts
 from ddic.io.text_files import read_text
 
 LONGEST_CASE = 1 << 20
@@ -108,11 +107,14 @@ def _list_texts_of_files(case_file: Path) -> Iterator[Path]:
         content = tomllib.loads(read_text(case_file, "case file", "check the path"))
     except (InputError, OSError, ValueError, RecursionError):
         return
+    volumes = [*_list_texts(content.get("volumes"))]
     for text in _list_texts({key: value for key, value in content.items() if key != "output"}):
         if not text or "\0" in text or "\n" in text:
             continue
-        named = str(case_file.parent / text)
-        yield from map(Path, glob(named) if PATTERN.search(text) else [named])
+        named = case_file.parent / text
+        # Of folders the volumes alone are read.
+        yield from (path for path in (find_matches(named) if PATTERN.search(text) else [named])
+                    if text in volumes or not path.is_dir())
 
 
 def _list_texts(value: Any) -> Iterator[str]:
@@ -196,15 +198,20 @@ def _list_company(result: Path, n_cameras: int) -> list[Path]:
 
 
 def _find_lost(inputs: Iterable[Path | None], written: Iterable[Path], folder: Path | None = None) -> Path | None:
-    """The first input in a folder, or one of the files to be written, by another name too: a hard link for instance."""
+    """The first input in a folder, or one of the files to be written, by another name too: a hard link for instance.
+
+    Nothing is written into a folder that is an input.
+    """
     places = {find_real_path(path) for path in written}
     existing = [path for path in places if is_readable_file(path)]
+    folders = {parent for path in places for parent in path.parents}
     for path in inputs:
         if path is None:
             continue
-        real = find_real_path(path)
-        if real in places or (folder is not None and folder in real.parents):
-            return path
-        if is_readable_file(path) and any(path.samefile(other) for other in existing):
-            return path
+        for part in {path: None, **dict.fromkeys(list_parts(path))}:
+            real = find_real_path(part)
+            if real in places or real in folders or (folder is not None and folder in real.parents):
+                return part
+            if is_readable_file(part) and any(part.samefile(other) for other in existing):
+                return part
     return None

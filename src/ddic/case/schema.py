@@ -134,6 +134,9 @@ class ImagingSection(Section):
 class ImagesSection(ImagingSection):
     """The image pair; paths are relative to the case file."""
 
+    dim: ClassVar[int] = 2
+    """Number of space dimensions."""
+
     reference: Path
     """The image f before loading: TIFF (8 or 16 bit, floating point), PNG, BMP or JPEG. TIFF is read window by window;
     the others are decoded once a node, which then holds one whole copy (1 byte a pixel of 8 bit, 2 of 16 bit), and for
@@ -202,6 +205,9 @@ class VolumesSection(ImagingSection):
     def reference_mask(self) -> Path | None:
         """As of images."""
         return self.mask
+
+    dim: ClassVar[int] = 3
+    """As of images."""
 
     # What volumes do not have.
     deformed_mask: ClassVar[Path | None] = None
@@ -350,6 +356,9 @@ class NearSection(Section):
 
     x_near = ratio R(rotation) x_far + offset, or what ``ddic calibrate`` wrote.
     """
+
+    dim: ClassVar[int] = 2
+    """As of images."""
 
     reference: Path
     """The near image before loading."""
@@ -867,7 +876,7 @@ class Case(Section):
     @property
     def dim(self) -> int:
         """Number of space dimensions."""
-        return 2 if self.volumes is None else 3
+        return self.imaging.dim
 
     def _list_contradictions(self) -> Iterator[str]:
         if self.images is None and self.volumes is None:

@@ -29,11 +29,11 @@ from ddic.inputs.mesh_source import (
     check_wavelength_fits,
     is_plain_grid,
 )
-from ddic.io.image_file import open_image
 from ddic.io.input_file import FileStamps
 from ddic.io.result_reader import require_known_displacement
 from ddic.io.series_reader import read_frame_or_last
 from ddic.io.text_files import read_partition
+from ddic.io.volume_file import hold_source
 from ddic.mesh.cell_type import CELL_TYPES, Q4
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.grid import GridLines
@@ -169,7 +169,7 @@ def check_case_file(path: Path) -> CheckReport:
         check_decodable(section, problems)
     problems.require_none()
     # It takes as long as to read the image, hence is not part of what a run checks.
-    image = open_image(loaded.case.imaging.reference)
+    image = hold_source(loaded.case.imaging.reference, loaded.case.dim)
     return describe_pattern(report, loaded, build_checked_mesh(loaded, image), find_pattern(image))
 
 
@@ -317,7 +317,7 @@ def _count_pixels(case: Case, mesh: Mesh, tying: Tying | None) -> IntArray:
     """Number of pixels of each cell in the images of the camera that measures it, (n_cells,); raises InputError."""
     if not case.near:
         return rasterize(mesh).pixel_counts
-    cameras = open_cameras(case, open_image)
+    cameras = open_cameras(case, lambda path: hold_source(path, case.dim))
     for near in cameras[1:]:
         check_near_mapping(cameras[0], near)
     labels = assign_cells(cameras, mesh, tying)
@@ -433,7 +433,7 @@ def _describe_grid(case: Case, reference: ImageSource, grid: GridLines, n_contro
         n_controlled_dofs=2 * n_controlled,
         output=case.output.file,
         discontinuities=None,
-        half_amplitudes=describe_cut_off(case.regularization),
+        half_amplitudes=describe_cut_off(case.regularization, case.dim),
         most_ranks=most_ranks,
     )
 
@@ -520,7 +520,7 @@ def _describe_inputs(case: Case, reference: ImageSource, checked: _CheckedMesh,
         n_controlled_dofs=mesh.dim * n_controlled_nodes,
         output=case.output.file,
         discontinuities=_describe_discontinuities(case, mesh),
-        half_amplitudes=describe_cut_off(case.regularization),
+        half_amplitudes=describe_cut_off(case.regularization, case.dim),
         most_ranks=_count_most_ranks(case, mesh),
     )
 

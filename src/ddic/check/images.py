@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
 from ddic.case.named_files import list_deformed
-from ddic.case.schema import CameraSection, Case, ImagesSection, Shape
+from ddic.case.schema import CameraSection, Case, ImagingSection, Shape
 from ddic.errors import InputError, Problems
 from ddic.images.binned import ArraySource
 from ddic.images.grey_levels import (
@@ -27,8 +27,9 @@ from ddic.images.window import Window
 from ddic.inputs.cameras import Camera
 from ddic.inputs.masks import draw_mask, exclude_from_reference
 from ddic.inputs.mesh_source import check_weight_fits
-from ddic.io.image_file import ImageFile, hold_image, open_mask
+from ddic.io.image_file import ImageFile
 from ddic.io.image_formats import can_decode, is_tiff, read_tiff_format
+from ddic.io.volume_file import VolumeFile, hold_source, open_mask
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 from ddic.problem.region_mesh import build_material
@@ -65,7 +66,8 @@ def check_images(images: CameraSection, name: str, problems: Problems) -> ImageS
 
     ``name`` is what messages call the section, after its file.
     """
-    reference = _check_image(images.reference, images.reference_mask, problems, images.masked, f"{name}.masked")
+    reference = _check_image(images.reference, images.dim, images.reference_mask, problems, images.masked,
+                             f"{name}.masked")
     if reference is not None:
         with problems.gathered():
             check_varied(reference)
@@ -75,26 +77,30 @@ def check_images(images: CameraSection, name: str, problems: Problems) -> ImageS
     # A blank frame of a series is told when its turn comes, and loses no other.
     is_pair = len(deformed_images) == 1
     for path in deformed_images:
-        _check_other_image(path, images.deformed_mask, reference, problems, must_vary=is_pair)
-    if isinstance(images, ImagesSection) and images.at_rest is not None:
-        _check_other_image(images.at_rest, None, reference, problems, must_vary=True)
+        _check_other_image(path, images.dim, images.deformed_mask, reference, problems, must_vary=is_pair)
+    if isinstance(images, ImagingSection) and images.at_rest is not None:
+        _check_other_image(images.at_rest, images.dim, None, reference, problems, must_vary=True)
     return reference
 
 
-def _check_other_image(path: Path, mask_path: Path | None, reference: ImageSource | None, problems: Problems, *,
-                       must_vary: bool) -> None:
+def _check_other_image(path: Path, dim: int, mask_path: Path | None, reference: ImageSource | None,
+                       problems: Problems, *, must_vary: bool) -> None:
     """Check an image that is to be compared with the reference image."""
-    image = _check_image(path, mask_path, problems)
+    image = _check_image(path, dim, mask_path, problems)
     if image is None:
         return
     with problems.gathered():
         if must_vary:
             check_varied(image)
     with problems.gathered():
-        if reference is not None and (reference.width, reference.height) != (image.width, image.height):
-            raise InputError(f"{image.path}: the image is {image.width}x{image.height} px, but the "
-                             f"reference {reference.path} is {reference.width}x{reference.height} px; "
+        if reference is not None and reference.extent != image.extent:
+            raise InputError(f"{image.path}: the image is {_say_size(image)} px, but the "
+                             f"reference {reference.path} is {_say_size(reference)} px; "
                              "give a pair of one size")
+
+
+def _say_size(image: ImageSource) -> str:
+    return "x".join(map(str, image.extent.sizes))
 
 
 def check_decodable(images: CameraSection, problems: Problems) -> None:
@@ -104,6 +110,11 @@ def check_decodable(images: CameraSection, problems: Problems) -> None:
     """
     for path in (images.reference, *list_deformed(images)):
         with problems.gathered():
+            if images.dim == 3:
+                volume = hold_source(path, images.dim)
+                if isinstance(volume, VolumeFile) and volume.is_compressed:
+                    read_all(volume)
+                continue
             if not (is_tiff(path) and can_decode(path)):
                 # Decoded whole when it was opened.
                 continue
@@ -112,12 +123,12 @@ def check_decodable(images: CameraSection, problems: Problems) -> None:
                 read_all(ImageFile(path, layout, windowed=True))
 
 
-def _check_image(path: Path, mask_path: Path | None, problems: Problems, shapes: Sequence[Shape] = (),
+def _check_image(path: Path, dim: int, mask_path: Path | None, problems: Problems, shapes: Sequence[Shape] = (),
                  name: str = "") -> ImageSource | None:
     """An image, checked with its mask, and shapes, of a key of that name; None where it cannot be read."""
     source: ImageSource | None = None
     with problems.gathered():
-        source = _hold_large_enough(path)
+        source = _hold_large_enough(path, dim)
     if source is None:
         return None
     with problems.gathered():
@@ -132,12 +143,12 @@ def _check_image(path: Path, mask_path: Path | None, problems: Problems, shapes:
     return source
 
 
-def _hold_large_enough(path: Path) -> ImageSource:
+def _hold_large_enough(path: Path, dim: int) -> ImageSource:
     """An image; InputError where it cannot be read, or has too few pixels."""
-    source = hold_image(path)
-    if min(source.width, source.height) < LEAST_SIDE:
-        raise InputError(f"{path}: the image is {source.width}x{source.height} px: too small to measure on; give "
-                         f"one of {LEAST_SIDE}x{LEAST_SIDE} px at least")
+    source = hold_source(path, dim)
+    if min(source.extent.sizes) < LEAST_SIDE:
+        raise InputError(f"{path}: the image is {_say_size(source)} px: too small to measure on; give "
+                         f"one of {'x'.join([str(LEAST_SIDE)] * dim)} px at least")
     return source
 
 
@@ -167,7 +178,7 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh, cell_size: flo
     _refuse_blank(reference, window, usable)
     section = case.regularization
     if section is not None and section.eta is not None:
-        c11, c22, *_ = build_material(section).moduli
+        c11, c22, *_ = build_material(section, case.dim).moduli
         part = ArraySource(reference.path, reference.read(_shrink(window)), reference.saturation)
         texture = measure_grey_levels(part).gradient_energy
         check_weight_fits(section.eta, max(c11, c22), texture, cell_size)
@@ -181,7 +192,8 @@ def _bound(points: Array) -> Window:
 
 def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
     """Pixels of a window that lie in the mesh and count."""
-    counted = exclude_from_reference(reference, case.imaging, hold_image).find_usable(window)
+    masked = exclude_from_reference(reference, case.imaging, lambda path: hold_source(path, case.dim))
+    counted = masked.find_usable(window)
     covered = rasterize(mesh).find_covered(reference.extent)[window.y0:window.y1, window.x0:window.x1]
     return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
 

@@ -3,15 +3,15 @@
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
+from scipy import ndimage
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.grey_levels import measure_feature_size
 from ddic.images.source import ImageSource
 
 BLOCK = 16
-"""Side of the blocks whose texture is told, pixels: three features of a usual pattern."""
+"""Side of the squares, or cubes, whose texture is told, pixels: three features of a usual pattern."""
 
 WELL_TEXTURED = 90.0
 """Percentile of the blocks' gradient energy that stands for the pattern: a specimen fills a tenth of its image."""
@@ -34,7 +34,7 @@ N_WINDOWS = 16
 
 DEEP, LEAST_DEPTH = 5.0, 0.6
 """Blocks from what bears no pattern in which a window of 128 px shows nothing else; and share of the deepest block's
-depth from which on one is taken where the specimen is narrower."""
+depth from which on one is taken where the specimen is narrower, or a volume, whose windows are smaller."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,9 @@ class Pattern:
 
     Attributes
     ----------
-    has_texture : (n_rows, n_columns) bool array
-        Of each block of BLOCK x BLOCK pixels.
-    strength : (n_rows, n_columns) array
+    has_texture : (n_rows, n_columns) or (n_planes, n_rows, n_columns) bool array
+        Of each block of BLOCK pixels a side.
+    strength : array of the same shape
         Gradient energy of each block over that of the pattern.
     feature_size : float
         Width of a feature, pixels; nan where none is found.
@@ -61,25 +61,24 @@ class Pattern:
             return BLOCK
         return max(SMALLEST_ELEMENT, 2 * math.ceil(FEATURES_A_SIDE * self.feature_size / 2.0))
 
-    def measure_bare_share(self, region: tuple[int, int, int, int]) -> float:
-        """Measure the share of a region x0, y0, x1, y1, pixels, that has hardly any texture."""
-        (row0, row1), (column0, column1) = self._find_blocks(np.array([region[:2], region[2:]], float))
-        return float(1.0 - self.has_texture[row0:row1 + 1, column0:column1 + 1].mean())
+    def measure_bare_share(self, region: tuple[int, ...]) -> float:
+        """Measure the share of a region, its lowest corner, then its highest, pixels, that has hardly any texture."""
+        ends = self._find_blocks(np.reshape(region, (2, -1)))
+        return float(1.0 - self.has_texture[tuple(slice(first, last + 1) for first, last in ends)].mean())
 
     def find_bare(self, points: Array) -> BoolArray:
-        """Find the points, (n, 2), pixels, about which the image has hardly any texture, (n,)."""
+        """Find the points, (n, dim), pixels, about which the image has hardly any texture, (n,)."""
         return np.asarray(~self.has_texture[self._find_blocks(points)])
 
     def find_strength(self, points: Array) -> Array:
-        """Find how strong the pattern is about points, (n, 2), pixels, (n,): 1 where as in most of it; nan at nan."""
+        """Find how strong the pattern is about points, (n, dim), pixels, (n,): 1 where as in most of it; nan at nan."""
         strength = self.strength[self._find_blocks(np.nan_to_num(points))]
         return np.where(np.isnan(points).any(axis=1), np.nan, strength)
 
-    def _find_blocks(self, points: Array) -> tuple[IntArray, IntArray]:
-        """Rows and columns of the blocks that hold points."""
-        n_rows, n_columns = self.has_texture.shape
-        column, row = np.floor((points + 0.5) / BLOCK).astype(int).T
-        return np.clip(row, 0, n_rows - 1), np.clip(column, 0, n_columns - 1)
+    def _find_blocks(self, points: Array) -> tuple[IntArray, ...]:
+        """Rows and columns, or planes, rows and columns, of the blocks that hold points."""
+        places = np.floor((points + 0.5) / BLOCK).astype(int).T[::-1]
+        return tuple(np.clip(place, 0, n - 1) for place, n in zip(places, self.has_texture.shape, strict=True))
 
     def describe_elements(self, size: float) -> str:
         """Say in a line of ``ddic check`` what the pattern asks of elements of a size, pixels."""
@@ -91,35 +90,36 @@ class Pattern:
 
 
 def find_pattern(image: ImageSource) -> Pattern:
-    """Find what of an image bears a pattern; it is read a band at a time."""
+    """Find what of an image, or a volume, bears a pattern; it is read a band at a time."""
     energy = _measure_block_energy(image)
     typical = float(np.percentile(energy, WELL_TEXTURED))
     # Single blocks, bare or not, say nothing of the specimen.
-    has_texture = cv2.medianBlur((energy > HARDLY * typical).astype(np.uint8), 3) > 0
+    has_texture = ndimage.median_filter(energy > HARDLY * typical, size=3, mode="nearest")
     strength = energy / max(typical, 1e-300)
     return Pattern(has_texture, strength, measure_feature_size(image, _choose_places(has_texture)))
 
 
 def _choose_places(has_texture: BoolArray) -> Array:
-    """Places deep in what bears the pattern, (n, 2), pixels: a window that shows an edge would tell that."""
-    depth = cv2.distanceTransform(np.pad(has_texture.astype(np.uint8), 1), cv2.DIST_C, 3)[1:-1, 1:-1]
-    rows, columns = np.nonzero(has_texture & (depth >= min(LEAST_DEPTH * float(depth.max()), DEEP)))
-    chosen = np.unique(np.linspace(0, max(len(rows) - 1, 0), N_WINDOWS).astype(int))
-    return BLOCK * (np.column_stack([columns, rows])[chosen] + 0.5) if len(rows) else np.zeros((0, 2))
+    """Places deep in what bears the pattern, (n, dim), pixels: a window that shows an edge would tell that."""
+    inside = (slice(1, -1),) * has_texture.ndim
+    depth = ndimage.distance_transform_cdt(np.pad(has_texture, 1), "chessboard")[inside]
+    blocks = np.argwhere(has_texture & (depth >= min(LEAST_DEPTH * float(depth.max()), DEEP)))[:, ::-1]
+    chosen = np.unique(np.linspace(0, max(len(blocks) - 1, 0), N_WINDOWS).astype(int))
+    return BLOCK * (blocks[chosen] + 0.5) if len(blocks) else np.zeros((0, has_texture.ndim))
 
 
 def _measure_block_energy(image: ImageSource) -> Array:
-    """Mean |grad f|^2 of each whole block, (n_rows, n_columns), (grey level / px)^2, by central differences."""
-    n_columns, n_rows = max(image.width // BLOCK, 1), max(image.height // BLOCK, 1)
-    energy = np.zeros((n_rows, n_columns))
-    for row, rows in enumerate(image.extent.split_rows(BLOCK)):
-        if row == n_rows:
-            break
-        band = np.nan_to_num(np.asarray(image.read(rows), np.float64)[:, :n_columns * BLOCK])
-        by_y, by_x = np.gradient(band) if min(band.shape) > 1 else (np.zeros_like(band), np.zeros_like(band))
-        squares = by_x**2 + by_y**2
-        side = band.shape[1] // n_columns
-        energy[row] = squares.mean(axis=0).reshape(n_columns, side).mean(axis=1)
+    """Mean |grad f|^2 of each whole block, by rows, (grey level / px)^2, by central differences in rows of blocks."""
+    energy = np.zeros([max(n // BLOCK, 1) for n in image.extent.shape])
+    n_bands, *across, n_columns = energy.shape
+    for number, rows in zip(range(n_bands), image.extent.split_rows(BLOCK), strict=False):
+        band = image.read(rows)
+        for place in np.ndindex(*across):
+            part = (slice(None), *(slice(BLOCK * k, BLOCK * (k + 1)) for k in place), slice(BLOCK * n_columns))
+            row = np.nan_to_num(np.asarray(band[part], np.float64))
+            slopes = np.gradient(row) if min(row.shape) > 1 else [np.zeros_like(row)]
+            squares = sum(slope**2 for slope in reversed(slopes)).mean(axis=tuple(range(row.ndim - 1)))
+            energy[number, *place] = squares.reshape(n_columns, -1).mean(axis=1)
     return energy
 
 
@@ -128,12 +128,11 @@ def choose_region(pattern: Pattern, image: ImageSource) -> tuple[int, int, int, 
 
     Its sides are whole numbers of the suggested elements. Edges that hardly bear it are cut off, holes stay.
     """
-    _, labels, sizes, _ = cv2.connectedComponentsWithStats(pattern.has_texture.astype(np.uint8), connectivity=4)
-    if len(sizes) < 2:
+    labels, n_pieces = ndimage.label(pattern.has_texture)
+    if not n_pieces:
         rows, columns = slice(0, labels.shape[0]), slice(0, labels.shape[1])
     else:
-        largest = 1 + int(sizes[1:, cv2.CC_STAT_AREA].argmax())
-        rows, columns = _trim(labels == largest)
+        rows, columns = _trim(labels == 1 + int(np.bincount(labels.ravel())[1:].argmax()))
     element = pattern.choose_element_size()
     # Without the outermost block, in which the specimen may end.
     low = (np.array([columns.start, rows.start]) + 1) * BLOCK

@@ -64,13 +64,13 @@ def _check_drawing(drawing: Path) -> None:
 def _draw(case: Case, drawing: Path) -> None:
     """Draw the mesh of a case that was found fit."""
     from ddic.case.methods import find_method
-    from ddic.io.image_file import open_image
+    from ddic.io.volume_file import hold_source
     from ddic.plots.canvas import save_figure
     from ddic.plots.maps import read_preview
     from ddic.plots.partition import draw_mesh_preview
     from ddic.problem.region_mesh import list_discontinuities
 
-    reference = open_image(case.imaging.reference)
+    reference = hold_source(case.imaging.reference, case.dim)
     mesh = find_method(case).build_result_mesh(case, reference.extent)
     figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
     save_figure(figure, drawing)
@@ -81,7 +81,7 @@ def _draw_wrong(case_file: Path, drawing: Path) -> None:
     from ddic.case.loader import load_case_leniently
     from ddic.case.own_outputs import PICTURE, require_own_output
     from ddic.inputs.mesh_source import build_mesh_anywhere
-    from ddic.io.image_file import open_image
+    from ddic.io.volume_file import hold_source
     from ddic.plots.canvas import save_figure
     from ddic.plots.maps import read_preview
     from ddic.plots.partition import draw_mesh_preview
@@ -91,5 +91,6 @@ def _draw_wrong(case_file: Path, drawing: Path) -> None:
         if loaded is not None:
             require_own_output(drawing, PICTURE, loaded.list_inputs())
             mesh = build_mesh_anywhere(loaded.case)
-            save_figure(draw_mesh_preview(mesh, read_preview(open_image(loaded.case.imaging.reference))), drawing)
+            reference = hold_source(loaded.case.imaging.reference, loaded.case.dim)
+            save_figure(draw_mesh_preview(mesh, read_preview(reference)), drawing)
             click.echo(f"{'picture':<20}{drawing}")

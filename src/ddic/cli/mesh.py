@@ -18,15 +18,15 @@ def mesh(case_file: Path, output: Path) -> None:
     from ddic.case.loader import load_case
     from ddic.case.own_outputs import MESH, require_own_output
     from ddic.inputs.mesh_source import build_meshes
-    from ddic.io.image_file import open_image
     from ddic.io.mesh_file import require_written_format, write_mesh
+    from ddic.io.volume_file import hold_source
 
     take_closed_pipes_as_errors()
     with failures_as_lines(output), warnings_as_lines():
         require_written_format(output)
         loaded = load_case(case_file)
         require_own_output(output, MESH, loaded.list_inputs())
-        image = open_image(loaded.case.imaging.reference)
+        image = hold_source(loaded.case.imaging.reference, loaded.case.dim)
         built, tying = build_meshes(loaded.case, image.extent)
         if tying is not None:
             raise InputError(f"{case_file}: near.mesh: meshes that do not match are not one that mesh.file could read; "

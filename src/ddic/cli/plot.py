@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -17,14 +18,15 @@ from ddic.plots.kinds import (
     KINDS,
     MEASURES,
     NUMBERS,
+    ON_SLICES,
     ONLY_ASKED_FOR,
-    OVER_IMAGE,
     WITH_LIMITS,
 )
 
 if TYPE_CHECKING:
     from ddic.io.result_reader import Result
-    from ddic.plots.maps import Preview
+    from ddic.plots.figures import Look
+    from ddic.plots.slices import Below
 
 
 FORMATS = ("png", "pdf", "svg")
@@ -41,10 +43,10 @@ MOVING = ("gif", "mp4")
 @click.option("--animate", is_flag=True, help="All frames of a series, one after the other, with the same colours.")
 @click.option("--fps", type=click.FloatRange(0.1, 100.0), default=5.0, help="Frames a second of an animation.")
 @click.option("--component", type=click.Choice(COMPONENTS), default="magnitude",
-              help="Displacement component in colour.")
+              help="Displacement component in colour; z of volumes.")
 @click.option("--strain", "number", type=click.Choice(NUMBERS),
               help="Strain in colour, or with --kind sigma the strain whose standard deviation is; by default a panel "
-                   "each of xx, yy and xy.")
+                   "for each component.")
 @click.option("--measure", type=click.Choice(MEASURES), default="infinitesimal", help="Strain tensor that is drawn.")
 @click.option("--by-cell", is_flag=True, help="Draw the strain in the middle of cells, not that recovered at nodes.")
 @click.option("--limits", type=(float, float), metavar="LOW HIGH",
@@ -60,6 +62,10 @@ MOVING = ("gif", "mp4")
                    "what is left is amplified as far as no cell folds.")
 @click.option("--line", type=(float, float, float, float), metavar="X1 Y1 X2 Y2",
               help="Ends of the line of --kind line, pixels of the reference image.")
+@click.option("--line-z", "depths", type=(float, float), metavar="Z1 Z2", help="In volumes z of both ends.")
+@click.option("--slice", "slices", multiple=True, metavar="AXIS=PLACE",
+              help="Plane of a volume to draw, such as z=120, voxels; as often as wanted. By default three through the "
+                   "middle of the mesh.")
 @click.option("--units", type=click.Choice(["px", "physical"]),
               help="Of lengths; by default physical where the case gives images.pixel_size.")
 @click.option("--other", type=click.Path(path_type=Path),
@@ -73,12 +79,13 @@ MOVING = ("gif", "mp4")
 @click.option("--output", type=click.Path(path_type=Path, file_okay=False),
               help="Folder of the pictures; by default that of FILE.")
 def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
-         component: Literal["x", "y", "magnitude"], number: str | None,
+         component: Literal["x", "y", "z", "magnitude"], number: str | None,
          measure: Literal["infinitesimal", "green-lagrange", "hencky"], by_cell: bool,
          limits: tuple[float, float] | None, percentiles: tuple[float, float], palette: str | None,
          title: str | None, scale_bar: float | None, amplification: float | None,
-         line: tuple[float, float, float, float] | None, units: str | None, other: Path | None, image: Path | None,
-         ending: str | None, dpi: int, output: Path | None) -> None:
+         line: tuple[float, float, float, float] | None, depths: tuple[float, float] | None, slices: tuple[str, ...],
+         units: str | None, other: Path | None, image: Path | None, ending: str | None, dpi: int,
+         output: Path | None) -> None:
     """Draw a result file as pictures named FILE.KIND.png, FILE.strain_yy.png say, for papers as PDF or SVG.
 
     Of a series: curves over time, a frame by its number (FILE.frame_N.KIND.png), or an animation (FILE.KIND.gif).
@@ -88,15 +95,16 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
     from ddic.io.result_schema import TIME
     from ddic.io.series_reader import is_series_file, read_frame, read_series
     from ddic.plots.canvas import ColourScale, find_length_unit, format_caption
-    from ddic.plots.figures import Drawing, Look
+    from ddic.plots.figures import Drawing, Look, require_known
     from ddic.plots.maps import StrainChoice
 
     folder = file.parent if output is None else output
     with failures_as_lines(folder):
         _check_limits(kind, limits)
         _check_colours(percentiles, palette)
-        if (kind == "line") != (line is not None):
+        if (kind == "line") != (line is not None) or (depths is not None and line is None):
             raise InputError("--line X1 Y1 X2 Y2 goes with --kind line: give both, or neither")
+        planes = tuple(map(_parse_slice, slices))
         stem = file.stem if frame is None else f"{file.stem}.frame_{frame}"
         pages = PageFiles(folder, stem, _choose_ending(ending, animate=animate), dpi, (file, other, image))
         is_series = is_series_file(file)
@@ -110,16 +118,39 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
             # Of a series the same frame.
             second = None if other is None else read_frame(other, frame if is_series_file(other) else None)
         kinds = _choose_kinds(kind, result, second)
-        preview = _read_reference(result, image) if set(kinds) & set(OVER_IMAGE) else None
         scale = ColourScale(limits, percentiles, palette)
         look = Look(component, StrainChoice(measure, number, by_cell), amplification, find_length_unit(result, units),
-                    scale, title, scale_bar)
-        drawing = Drawing(result, second, look, preview, line)
+                    scale, title, scale_bar, planes)
+        require_known(result, look)
+        preview = _read_reference(result, look, image) if set(kinds) & set(ON_SLICES) else None
+        drawing = Drawing(result, second, look, preview, _join_ends(line, depths, result.mesh.dim))
         if series is not None:
             plot_animation(series, kind, drawing, pages, fps)
         else:
             caption = None if frame is None else format_caption(frame, float(result.attributes[TIME]["deformed"]))
             plot_pictures(kinds, drawing, pages, caption)
+
+
+def _parse_slice(text: str) -> tuple[str, float]:
+    """Axis and place of a slice; raises InputError where it is none."""
+    axis, _, place = text.partition("=")
+    try:
+        if axis in ("x", "y", "z") and math.isfinite(float(place)):
+            return axis, float(place)
+    except ValueError:
+        pass
+    raise InputError(f"--slice {text}: give x, y or z and its place in voxels, such as z=120")
+
+
+def _join_ends(line: tuple[float, float, float, float] | None, depths: tuple[float, float] | None,
+               dim: int) -> tuple[float, ...]:
+    """Both ends of a line; raises InputError where they lie in another space than a result."""
+    if line is None:
+        return ()
+    if (dim == 3) != (depths is not None):
+        raise InputError("--line of a result of volumes needs --line-z Z1 Z2 too" if dim == 3 else
+                         "--line-z: of a result of volumes; leave it out")
+    return line if depths is None else (*line[:2], depths[0], *line[2:], depths[1])
 
 
 def _check_limits(kind: str, limits: tuple[float, float] | None) -> None:
@@ -191,17 +222,17 @@ def _choose_kinds(asked: str, result: Result, other: Result | None) -> list[str]
     return [kind for kind in KINDS if kind not in left_out]
 
 
-def _read_reference(result: Result, image: Path | None) -> Preview | None:
-    """The image that is drawn below; None where it is no longer there."""
-    from ddic.io.image_file import open_image
+def _read_reference(result: Result, look: Look, image: Path | None) -> Below:
+    """What is drawn below: the image, unless it is no longer there, or slices of a volume."""
+    from ddic.io.volume_file import hold_source
     from ddic.plots.figures import find_image
-    from ddic.plots.maps import read_preview
+    from ddic.plots.maps import read_below
 
     image = find_image(result) if image is None else image
-    if image is None:
+    with warnings_as_lines():
+        if image is not None:
+            return read_below(result.mesh, hold_source(image, result.mesh.dim), look.slices)
         named = str(result.attributes.get("provenance", {}).get("reference_path", ""))
         if named:
             click.echo(f"warning: {named} is no longer there and not drawn; give the image by --image", err=True)
-        return None
-    with warnings_as_lines():
-        return read_preview(open_image(image))
+        return read_below(result.mesh, None, look.slices)

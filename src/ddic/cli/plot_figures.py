@@ -15,6 +15,7 @@ from ddic.plots import canvas, maps
 from ddic.plots.figures import Drawing, Look, SharedScale, draw, find_limits
 from ddic.plots.kinds import format_name
 from ddic.plots.series import draw_time_curves, write_animation
+from ddic.plots.slices import Slices
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class PageFiles:
 def _name(kind: str, drawing: Drawing) -> str:
     """What a picture is called."""
     look, choice = drawing.look, drawing.look.strain
-    return format_name(kind, look.component, choice.number, choice.measure, drawing.line, by_cell=choice.by_cell)
+    return format_name(kind, look.component, choice.number, choice.measure, drawing.line, look.slices,
+                       by_cell=choice.by_cell)
 
 
 def plot_pictures(kinds: Sequence[str], drawing: Drawing, pages: PageFiles, caption: str | None) -> None:
@@ -71,7 +73,7 @@ def plot_pictures(kinds: Sequence[str], drawing: Drawing, pages: PageFiles, capt
 def plot_animation(series: SeriesResult, kind: str, drawing: Drawing, pages: PageFiles, fps: float) -> None:
     """Write an animation of one kind; ``drawing`` shows the first frame."""
     target = pages.to_path(_name(kind, drawing))
-    shared = find_shared_scale(series, kind, drawing.look)
+    shared = find_shared_scale(series, kind, drawing.look, drawing.slices)
 
     def draw_pages() -> Iterator[Figure]:
         """Draw the frames, which are read one by one, a page each with its number and time."""
@@ -100,10 +102,10 @@ def plot_curves(series: SeriesResult, units: str | None, pages: PageFiles) -> No
     click.echo(target)
 
 
-def find_shared_scale(series: SeriesResult, kind: str, look: Look) -> SharedScale:
+def find_shared_scale(series: SeriesResult, kind: str, look: Look, slices: Slices | None = None) -> SharedScale:
     """Find colours and axes that suit all frames of a series, read one by one, for a kind that can be animated."""
     # (n_frames, n_panels, 2)
-    found = np.array([find_limits(result, kind, look) for result in series])
+    found = np.array([find_limits(result, kind, look, slices) for result in series])
     low, high = found[..., 0].min(axis=0).tolist(), found[..., 1].max(axis=0).tolist()
     # What the colour bar says of each frame by itself holds for all of them.
     note = look.scale.format_label("").strip()

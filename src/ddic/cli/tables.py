@@ -23,18 +23,20 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("files", metavar="RESULT...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--point", "points", multiple=True, metavar="X,Y", help="Displacement and strain at a point.")
+@click.option("--point", "points", multiple=True, metavar="X,Y[,Z]",
+              help="Displacement and strain at a point; three numbers a place on a volume, here and below.")
 @click.option("--line", "lines", multiple=True, metavar="X0,Y0,X1,Y1[,SPACING]",
               help="The same at places along a line, by default every pixel.")
 @click.option("--gauge", "gauges", multiple=True, metavar="X,Y,LENGTH[,ANGLE[,WIDTH]]",
               help="Strain of the plane that fits the displacement best over a square, or a rectangle; ANGLE in "
-                   "degrees from x towards y.")
+                   "degrees from x towards y. On a volume X,Y,Z,LENGTH[,DX,DY,DZ[,WIDTH]]: over a cube, or a bar "
+                   "along the vector DX,DY,DZ.")
 @click.option("--extensometer", "extensometers", multiple=True, metavar="X0,Y0,X1,Y1",
               help="Engineering strain of the distance of two points.")
 @click.option("--probes", "file", type=click.Path(path_type=Path),
               help="TOML file of named probes: [point.A], [line.B], [gauge.C], [extensometer.D].")
 @click.option("--measure", type=click.Choice(["infinitesimal", "green-lagrange", "hencky"]), default="infinitesimal",
-              help="Strain tensor of xx, yy and xy.")
+              help="Strain tensor of xx, yy, xy and so on.")
 @click.option("--noise", type=click.FloatRange(min=0, min_open=True), metavar="PX",
               help="Standard deviation of a component of the nodes' displacements, of a static pair for instance; by "
                    "default what the results record.")
@@ -58,14 +60,15 @@ def probe(files: tuple[Path, ...], points: tuple[str, ...], lines: tuple[str, ..
         if table is not None:
             require_own_output(table, PROBES, (*files, file))
         given = {"point": points, "line": lines, "gauge": gauges, "extensometer": extensometers}
-        probes = [parse_probe(kind, f"{kind} {number}", text) for kind, texts in given.items()
-                  for number, text in enumerate(texts, start=1)]
-        probes += load_probes(file) if file is not None else []
-        if not probes:
+        probes = load_probes(file) if file is not None else []
+        if not probes and not any(given.values()):
             raise InputError("no probe: give --point, --line, --gauge, --extensometer, or a file by --probes")
         with warnings_as_lines():
             results = chain.from_iterable(map(read_frames, files))
-            records = measure_probes(results, probes, measure, noise)
+            first = next(results)
+            probes = [*(parse_probe(kind, f"{kind} {number}", text, first.mesh.dim) for kind, texts in given.items()
+                        for number, text in enumerate(texts, start=1)), *probes]
+            records = measure_probes(chain([first], results), probes, measure, noise)
         if len({record.unit for record in records}) > 1:
             raise InputError("the results have several pixel sizes: read those of each apart")
         if table is not None:
@@ -81,11 +84,13 @@ def _show_readings(records: Sequence[ProbeRecord]) -> None:
     from rich.console import Console
     from rich.table import Column, Table
 
+    from ddic.io.result_schema import AXES, list_components
     from ddic.probes.tables import average_along
 
-    unit = records[0].unit
-    numbers = (f"u_x [{unit.name}]", f"u_y [{unit.name}]", f"+- [{unit.name}]", "strain xx", "yy", "xy", "along", "+-",
-               f"resolution u, strain [{unit.name}]")
+    unit, dim = records[0].unit, records[0].reading.probe.dim
+    first, *others = list_components(dim)
+    numbers = (*(f"u_{axis} [{unit.name}]" for axis in AXES[:dim]), f"+- [{unit.name}]", f"strain {first}", *others,
+               "along", "+-", f"resolution u, strain [{unit.name}]")
     table = Table("time", "probe", *(Column(name, justify="right") for name in numbers), box=SIMPLE_HEAD)
     notes: dict[str, None] = {}
     for record in records:

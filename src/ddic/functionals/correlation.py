@@ -369,18 +369,18 @@ class Correlation:
         return next(self.compute_residual_bands(deformed, q, [whole], gain, offset))
 
     def split_bands(self, height: int) -> list[RowBand]:
-        """Split the cells into bands of rows, whose residual images take little memory one by one.
+        """Split the cells into bands of rows, or of planes, whose residual images take little memory one by one.
 
         Every cell is in one of them. ``height`` is that of the bands, pixels; at least that of the tallest cell is
         taken. They are counted from the image's top.
         """
-        first = self.raster.first_row[self.order]
-        last = first + np.diff(self.raster.row_ptr)[self.order]
+        first = self.raster.first_rows[self.order, -1]
+        last = first + self.raster.n_rows[self.order, -1]
         number = first // max(height, int((last - first).max(initial=0)))
         members = [np.flatnonzero(number == k) for k in np.unique(number)]
         window = self.reference.window
-        return [RowBand(self.order[of_band], window.take_rows(max(int(first[of_band].min()), window.y0),
-                                                           min(int(last[of_band].max()), window.y1)))
+        return [RowBand(self.order[of_band], window.take_rows(max(int(first[of_band].min()), window.lower[-1]),
+                                                           min(int(last[of_band].max()), window.upper[-1])))
                 for of_band in members]
 
     def compute_residual_bands(self, deformed: DeformedSubImage, q: Array, bands: Iterable[RowBand],

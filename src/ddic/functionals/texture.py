@@ -75,43 +75,61 @@ def _estimate_noise_variance(correlation: Correlation) -> float:
     rows enough for a good mean; pixels beside masked ones do not count. Grey levels squared; 0 without pixels.
     """
     f, raster = correlation.reference, correlation.raster
-    height, width = f.values.shape
-    step = max(1, height * width // ENOUGH_PIXELS)
-    rows = np.arange(1, height - 1, step)
-    if width < 3 or len(rows) == 0:
+    step = max(1, f.window.n_pixels // ENOUGH_PIXELS)
+    # Of a volume planes.
+    rows = np.arange(1, f.window.shape[0] - 1, step)
+    if min(f.window.sizes) < 3:
         return 0.0
     squares = _squared_details(f, rows)
     # Runs of the cells' pixels on those rows; the window's outermost pixels have no detail.
-    run = raster.rows[:, 0] - f.window.y0 - 1
-    kept = np.flatnonzero((run >= 0) & (run < height - 2) & (run % step == 0))
-    starts = np.clip(raster.starts[kept] - f.window.x0 - 1, 0, width - 2)
-    stops = np.clip(raster.stops[kept] - f.window.x0 - 1, 0, width - 2)
+    place = raster.rows - f.window.lower[1:] - 1
+    inside = ((place >= 0) & (place < np.subtract(f.window.sizes[1:], 2))).all(axis=1)
+    kept = np.flatnonzero(inside & (place[:, -1] % step == 0))
+    place = place[kept]
+    place[:, -1] //= step
+    run = np.ravel_multi_index(tuple(place.T[::-1]), squares.shape[:-1])
+    starts, stops = (np.clip(ends[kept] - f.window.x0 - 1, 0, f.window.width - 2)
+                     for ends in (raster.starts, raster.stops))
     n_pixels = float((stops - starts).sum())
     if f.usable is not None:
         counted = _with_usable_neighbours(f.usable, rows)
         squares *= counted
-        n_pixels = _sum_runs(counted, run[kept] // step, starts, stops)
-    total = _sum_runs(squares, run[kept] // step, starts, stops)
+        n_pixels = _sum_runs(counted, run, starts, stops)
+    total = _sum_runs(squares, run, starts, stops)
     return total / n_pixels if n_pixels else 0.0
 
 
 def _squared_details(f: GradientImage, rows: IntArray) -> Array:
-    """Squares of the finest detail on some rows of an image, without its outermost columns."""
-    # (1, -2, 1) / sqrt(6) along both axes is blind to curvature along one, and keeps the variance of white noise.
-    above, on, below = (f.values[rows + k].astype(np.float32) for k in (-1, 0, 1))
-    across = above - 2.0 * on + below
-    detail = (across[:, :-2] - 2.0 * across[:, 1:-1] + across[:, 2:]) / 6.0
+    """Squares of the finest detail on some rows of an image, or planes of a volume, without its outermost pixels."""
+    # (1, -2, 1) / sqrt(6) along each axis is blind to curvature along one, and keeps the variance of white noise.
+    values = f.values[f.window.grow(f.margin).locate(f.window)]
+    behind, on, ahead = (values[rows + k].astype(np.float32) for k in (-1, 0, 1))
+    detail = behind - 2.0 * on + ahead
+    for axis in range(1, values.ndim):
+        behind, on, ahead = _shift_along(detail, axis)
+        detail = behind - 2.0 * on + ahead
+    detail = detail / 6.0 ** (values.ndim / 2)
     return np.asarray(detail.astype(np.float64) ** 2)
 
 
 def _with_usable_neighbours(usable: NDArray[np.uint8], rows: IntArray) -> BoolArray:
-    """Which pixels of some rows, without the outermost columns, are excluded neither themselves nor beside one."""
-    column = (usable[rows - 1] & usable[rows] & usable[rows + 1]) > 0
-    return np.asarray(column[:, :-2] & column[:, 1:-1] & column[:, 2:])
+    """Which pixels of some rows, or planes, without the outermost ones, are not excluded, nor are any beside."""
+    counted = (usable[rows - 1] & usable[rows] & usable[rows + 1]) > 0
+    for axis in range(1, usable.ndim):
+        behind, on, ahead = _shift_along(counted, axis)
+        counted = behind & on & ahead
+    return np.asarray(counted)
+
+
+def _shift_along(values: NDArray[Any], axis: int) -> tuple[NDArray[Any], ...]:
+    """Values behind, on and ahead of each place along an axis, but for the first and the last one."""
+    n_inside, before = values.shape[axis] - 2, (slice(None),) * axis
+    return tuple(values[(*before, slice(k, k + n_inside))] for k in range(3))
 
 
 def _sum_runs(values: NDArray[Any], row: IntArray, start: IntArray, stop: IntArray) -> float:
-    """Sum of values (height, width) over runs of columns start to stop - 1."""
+    """Sum of values (..., width) over runs of columns start to stop - 1; rows are numbered over all axes before."""
+    values = values.reshape(-1, values.shape[-1])
     up_to = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=1, out=up_to[:, 1:])
     return float((up_to[row, stop] - up_to[row, start]).sum())

@@ -66,10 +66,9 @@ def measure_grey_levels(source: ImageSource) -> GreyLevels:
     energy, n_energy = 0.0, 0
     for rows in _bands(source):
         # A row more on either side, for the differences.
-        top = max(rows.y0 - 1, 0)
-        bottom = min(rows.y1 + 1, source.height)
-        band = source.read(source.extent.take_rows(top, bottom))
-        own = band[rows.y0 - top:rows.y1 - top]
+        wide = source.extent.take_rows(rows.lower[-1] - 1, rows.upper[-1] + 1).intersection(source.extent)
+        band = source.read(wide)
+        own = band[wide.locate(rows)]
         finite = own[np.isfinite(own)]
         if finite.size:
             lowest = min(lowest, float(finite.min()))
@@ -116,18 +115,18 @@ def check_finite(source: ImageSource, mask: ImageSource | None = None) -> None:
     if source.saturation is not None:
         return
     count = 0
-    first: tuple[int, int] | None = None
+    first: tuple[int, ...] | None = None
     for rows in _bands(source):
         bad = ~np.isfinite(source.read(rows))
         if mask is not None:
             bad &= mask.read(rows) != 0
         if first is None and bad.any():
-            row, column = np.unravel_index(int(bad.argmax()), bad.shape)
-            first = (int(column), rows.y0 + int(row))
+            in_band = np.unravel_index(int(bad.argmax()), bad.shape)
+            first = tuple(int(place) + low for place, low in zip(in_band[::-1], rows.lower, strict=True))
         count += int(np.count_nonzero(bad))
-    if count:
+    if first is not None:
         raise InputError(f"{source.path}: {count} pixel(s) are NaN or infinite, the first at "
-                         f"(x, y) = {first}; leave them out with a mask image (0 there)")
+                         f"({', '.join('xyz'[:len(first)])}) = {first}; leave them out with a mask image (0 there)")
 
 
 def count_used(mask: ImageSource) -> int:
@@ -221,26 +220,35 @@ class _HighestLevel:
 
 def list_spread_bands(window: Window) -> Iterator[Window]:
     """List bands of whole rows of a window, top to bottom: all, or evenly spread ones of MOST_LOOKED_AT pixels."""
-    n_rows = max(1, BAND_PIXELS // window.width)
+    n_rows = _choose_height(window)
     step = n_rows * max(1, -(-window.n_pixels // MOST_LOOKED_AT))
     return window.split_rows(n_rows, step)
 
 
 def _bands(source: ImageSource) -> Iterator[Window]:
     """Windows of whole rows from top to bottom, of about BAND_PIXELS each."""
-    return source.extent.split_rows(max(1, BAND_PIXELS // source.width))
+    return source.extent.split_rows(_choose_height(source.extent))
+
+
+def _choose_height(window: Window) -> int:
+    """Rows, or planes, of a band of about BAND_PIXELS."""
+    return max(1, BAND_PIXELS // math.prod(window.sizes[:-1]))
 
 
 def _squared_gradient(band: Array) -> Array:
     """|grad f|^2 of a band's inner pixels, of those where it is finite."""
-    by_x = 0.5 * (band[1:-1, 2:] - band[1:-1, :-2])
-    by_y = 0.5 * (band[2:, 1:-1] - band[:-2, 1:-1])
-    squares = by_x**2 + by_y**2
+    inner, ahead, behind = slice(1, -1), slice(2, None), slice(None, -2)
+    squares = np.zeros(tuple(max(n - 2, 0) for n in band.shape))
+    for axis in reversed(range(band.ndim)):
+        forth, back = (band[(inner,) * axis + (beside,) + (inner,) * (band.ndim - axis - 1)]
+                       for beside in (ahead, behind))
+        squares += (0.5 * (forth - back))**2
     return np.asarray(squares[np.isfinite(squares)])
 
 
-SIDE = 128
-"""Pixels along each side of a window that is looked at; features above a quarter of it are not told."""
+SIDES = {2: 128, 3: 48}
+"""Pixels along each side of a window that is looked at, by the number of dimensions; features above a quarter of it are
+not told."""
 
 HALF = 0.5
 """Correlation at the edge of a feature: the guides' width at half of the maximum."""
@@ -249,29 +257,31 @@ HALF = 0.5
 def measure_feature_size(source: ImageSource, places: Array) -> float:
     """Measure the size of a pattern's features: the width of the autocorrelation at half of its maximum, pixels.
 
-    It is the median over both axes of windows of 128 x 128 px about the places, (n, 2), pixels: some on the specimen,
-    for edges and holes in a few of them change little. It is nan where no window has features that end in it.
+    It is the median over all axes of windows of SIDES about the places, (n, dim), pixels: some on the specimen, for
+    edges and holes in a few of them change little. It is nan where no window has features that end in it.
     """
-    widths = [width for x, y in places for width in _measure_window(source, float(x), float(y))]
+    widths = [width for place in places for width in _measure_window(source, place)]
     known = [width for width in widths if math.isfinite(width)]
     return float(np.median(known)) if known else math.nan
 
 
-def _measure_window(source: ImageSource, x: float, y: float) -> list[float]:
-    """Widths along x and y about a place."""
-    grey = np.nan_to_num(np.asarray(source.read(_place_window(source, x, y)), np.float64))
-    grey = (grey - grey.mean()) * np.hanning(grey.shape[0])[:, None] * np.hanning(grey.shape[1])
-    correlation = np.fft.irfft2(np.abs(np.fft.rfft2(grey))**2, s=grey.shape)
-    if not correlation[0, 0] > 0:
-        return []
-    return [2.0 * _find_half(line / line[0]) for line in (correlation[0], correlation[:, 0])]
+def _measure_window(source: ImageSource, place: Array) -> list[float]:
+    """Widths along each axis about a place."""
+    grey = np.nan_to_num(np.asarray(source.read(_place_window(source, place)), np.float64))
+    grey = grey - grey.mean()
+    for fade in np.meshgrid(*map(np.hanning, grey.shape), indexing="ij", sparse=True):
+        grey = grey * fade
+    correlation = np.fft.irfftn(np.abs(np.fft.rfftn(grey))**2, s=grey.shape)
+    # From no shift on, along each axis.
+    lines = [np.moveaxis(correlation, axis, -1)[(0,) * (grey.ndim - 1)] for axis in reversed(range(grey.ndim))]
+    return [2.0 * _find_half(line / line[0]) for line in lines if line[0] > 0]
 
 
-def _place_window(source: ImageSource, x: float, y: float) -> Window:
+def _place_window(source: ImageSource, place: Array) -> Window:
     """A window about a place, moved into the image."""
     sides = np.array(source.extent.sizes)
-    size = np.minimum(sides, SIDE)
-    begin = np.clip(np.rint([x, y] - 0.5 * size), 0, sides - size)
+    size = np.minimum(sides, SIDES[len(sides)])
+    begin = np.clip(np.rint(place - 0.5 * size), 0, sides - size)
     return Window.between(begin, begin + size)
 
 

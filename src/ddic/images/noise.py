@@ -10,9 +10,9 @@ from ddic.images.source import ImageSource
 from ddic.images.spline import HALO, compute_coefficients
 from ddic.images.window import Window
 
-BLOCK = 32
-"""Side, pixels, of the blocks of which each has its own light and motion; a larger value lets more of a drift through,
-a smaller one leaves fewer pixels to each block's four numbers."""
+BLOCKS = {2: 32, 3: 10}
+"""Side, pixels, of the blocks of which each has its own light and motion, by the number of dimensions; a larger value
+lets more of a drift through, a smaller one leaves fewer pixels to each block's four or five numbers."""
 
 
 def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window) -> float:
@@ -21,19 +21,17 @@ def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window)
     Of every block an offset, a gain and a shift of the second image are fitted, so that neither light nor a small drift
     counts; the median over blocks passes over what has moved. It is nan where the window is smaller than a block.
     """
-    variances = [_fit_row(first, second, window.take_rows(y, y + BLOCK))
-                 for y in range(window.y0, window.y1 - BLOCK + 1, BLOCK)]
+    side = BLOCKS[len(window.sizes)]
+    whole = Window.between(window.lower, np.array(window.upper) - np.array(window.sizes) % side)
+    variances = [_fit_row(first, second, rows) for rows in whole.split_rows(side)] if whole.n_pixels else []
     found = np.concatenate([np.zeros(0), *variances])
     return float(np.sqrt(np.median(found))) if len(found) else float("nan")
 
 
 def _fit_row(first: ImageSource, second: ImageSource, window: Window) -> Array:
-    """Noise variances of a row of blocks, (n_blocks,), grey levels squared."""
-    n = window.width // BLOCK
-    f = first.read(window).astype(np.float64)[:, :n * BLOCK]
-    change = second.read(window)[:, :n * BLOCK] - f
-    if n == 0:
-        return np.zeros(0)
+    """Noise variances of a row, or plane, of whole blocks, (n_blocks,), grey levels squared."""
+    f = first.read(window).astype(np.float64)
+    change = second.read(window) - f
     columns = (np.ones_like(f), f, *np.gradient(f))
     design = np.stack([_split(column) for column in columns], axis=2)
     values = _split(change)[:, :, None]
@@ -41,12 +39,15 @@ def _fit_row(first: ImageSource, second: ImageSource, window: Window) -> Array:
     fitted = design @ (np.linalg.pinv(design) @ values)
     left = ((values - fitted) ** 2).sum(axis=(1, 2))
     # Two images' noise, less what the numbers of each block take of it.
-    return np.asarray(left / (2.0 * (BLOCK**2 - design.shape[2])))
+    return np.asarray(left / (2.0 * (design.shape[1] - design.shape[2])))
 
 
 def _split(image: Array) -> Array:
-    """Pixels of each block of a row, (n_blocks, BLOCK^2)."""
-    return image.reshape(BLOCK, -1, BLOCK).transpose(1, 0, 2).reshape(-1, BLOCK**2)
+    """Pixels of each block of a row or plane, (n_blocks, n_pixels)."""
+    side, dim = BLOCKS[image.ndim], image.ndim
+    # Blocks, and pixels in them, along each axis in turn.
+    parted = image.reshape([n for size in image.shape for n in (size // side, side)])
+    return parted.transpose(*range(0, 2 * dim, 2), *range(1, 2 * dim, 2)).reshape(-1, side**dim)
 
 
 REACH = 12

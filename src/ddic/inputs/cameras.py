@@ -13,8 +13,8 @@ from ddic.images.camera import CameraMapping, identity, similarity
 from ddic.images.source import ImageSource
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.masks import Opener, exclude_from_reference, exclude_masked
-from ddic.io.image_file import open_decoded
 from ddic.io.mapping_file import read_mapping_file
+from ddic.io.volume_file import open_source
 from ddic.kinematics.camera import CameraSetup, MotionKind, see_mesh
 from ddic.mesh.mesh import Mesh
 from ddic.parallel.node import open_once_a_node
@@ -72,12 +72,13 @@ class Camera:
         return f"near, entry {self.number}"
 
 
-def open_on_all_ranks(team: Team) -> Opener:
-    """Give what opens images on all ranks: one that can only be decoded whole is decoded once a node.
+def open_on_all_ranks(team: Team, dim: int) -> Opener:
+    """Give what opens images, or where ``dim`` is 3 volumes, on all ranks.
 
-    What it gives is collective: ranks open the same images in the same order.
+    One that can only be decoded whole is decoded once a node. What it gives is collective: ranks open the same images
+    in the same order.
     """
-    return lambda path: open_once_a_node(team, lambda: open_decoded(path))
+    return lambda path: open_once_a_node(team, lambda: open_source(path, dim))
 
 
 def open_cameras(case: Case, opener: Opener) -> tuple[Camera, ...]:

@@ -18,7 +18,7 @@ from ddic.images.source import ImageSource
 from ddic.images.window import Window
 from ddic.inputs.cameras import Camera, Frame, open_cameras, open_frame, open_on_all_ranks
 from ddic.inputs.mesh_source import build_meshes
-from ddic.io.input_file import FileStamps
+from ddic.io.input_file import FileStamps, list_parts
 from ddic.io.text_files import read_point_table
 from ddic.kinematics.kinematics import RegionKinematics
 from ddic.mesh.interpolation import locate
@@ -90,7 +90,7 @@ def open_inputs(team: Team, loaded: LoadedCase, number: int = 0) -> tuple[Inputs
     cannot be read.
     """
     case = loaded.case
-    opener = open_on_all_ranks(team)
+    opener = open_on_all_ranks(team, case.dim)
     cameras = open_cameras(case, opener)
     image = cameras[0].reference.image
     inputs = Inputs(case, cameras, lambda: loaded.kept_mesh.take(case) or build_meshes(case, image.extent),
@@ -150,13 +150,14 @@ class FrameOpener:
         """Open a frame's images, one a camera; collective, raises InputError on all ranks where one cannot be read."""
         if number == self.first_number:
             return self.first
-        return open_frame(self.inputs.case, open_on_all_ranks(self.team), number - 1)
+        return open_frame(self.inputs.case, open_on_all_ranks(self.team, self.inputs.case.dim), number - 1)
 
     def list_files(self, number: int) -> list[Path]:
-        """List the images of a frame, one of each camera; none behind the last."""
+        """List the files that make the images of a frame, one of each camera; none behind the last."""
         if number > self.n_frames:
             return []
-        return [list_deformed(section)[number - 1] for section in list_cameras(self.inputs.case)]
+        return [file for section in list_cameras(self.inputs.case)
+                for file in list_parts(list_deformed(section)[number - 1])]
 
     def choose_stamps(self, number: int) -> FileStamps:
         """Choose the stamps of what a frame is measured from: of its images and the reference images."""

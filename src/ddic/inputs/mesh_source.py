@@ -16,8 +16,8 @@ from ddic.case.schema import (
 )
 from ddic.errors import InputError
 from ddic.images.window import Window
-from ddic.io.image_file import read_mask
 from ddic.io.mesh_file import read_mesh
+from ddic.io.volume_file import read_mask
 from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import OutlinedHole, RegionLike, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity

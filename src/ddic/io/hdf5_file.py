@@ -30,8 +30,8 @@ def describe_damage(error: BaseException) -> str:
     return message.splitlines()[0] if message else type(error).__name__
 
 
-def read_array(dataset: Any) -> NDArray[Any]:
-    """Read a dataset whole, unless it claims to hold more than its file can.
+def read_array(dataset: Any, part: Any = ...) -> NDArray[Any]:
+    """Read a dataset, whole or a part by its slices, unless it claims to hold more than its file can.
 
     The file may be damaged. Raises ValueError, with both sizes, where memory would be filled with what is not there.
     """
@@ -40,7 +40,7 @@ def read_array(dataset: Any) -> NDArray[Any]:
         stored = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
         if dataset.nbytes > stored * (MOST_DEFLATED if dataset.compression else 1):
             raise ValueError(f"{dataset.name} claims {dataset.nbytes} bytes, of which {stored} are there")
-    return np.asarray(dataset[...])
+    return np.asarray(dataset[part])
 
 
 _Extent = tuple[int, int]

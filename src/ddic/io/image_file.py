@@ -1,13 +1,12 @@
-"""Image files as sources of windows, what is checked of them, and mask images.
+"""Image files as sources of windows, and what is checked of them.
 
-PNG, BMP, JPEG and rarely compressed TIFF files are decoded whole by OpenCV, then cropped. Of a mask image, pixels that
-are not zero are used.
+PNG, BMP, JPEG and rarely compressed TIFF files are decoded whole by OpenCV, then cropped.
 """
 
 import hashlib
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ddic.arrays import BoolArray
 from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource, SizedImage
@@ -100,15 +98,19 @@ def _without_equal_colours(pixels: NDArray[Any]) -> NDArray[Any]:
     return pixels[..., [0, *range(3, pixels.shape[2])]]
 
 
-def _check_header(path: Path) -> None:
-    """Raise InputError where a header is damaged, or claims more pixels than the file can hold."""
+def _check_header(path: Path) -> tuple[int, int, str] | None:
+    """Width, height and mode that a header says; None without one that is known.
+
+    Raises InputError where it is damaged, or claims more pixels than the file can hold.
+    """
     magic = _find_magic(path)
     if magic is None:
-        return
+        return None
     try:
         # Not Image.open, which takes large images for attacks.
         with _find_reader(magic)(str(path)) as header:
             width, height = header.size
+            mode = str(header.mode)
     # Pillow's readers raise anything on a damaged header.
     except Exception as error:
         raise InputError(f"{path}: damaged, or cut short ({error}); copy or save it again") from error
@@ -118,6 +120,7 @@ def _check_header(path: Path) -> None:
                          "cannot hold; copy or save it again")
     formats.check_claimed_size(path, width, height)
     formats.check_decoded_size(path, width, height)
+    return width, height, mode
 
 
 def _find_magic(path: Path) -> bytes | None:
@@ -209,6 +212,24 @@ def hold_image(path: Path | str) -> ImageSource:
     return image if pixels is None else ArraySource(image.path, pixels, image.saturation)
 
 
+def open_slices(files: Sequence[Path]) -> list[ImageFile]:
+    """Open images of one size and type by their headers; the first one as ``open_image`` does.
+
+    Raises InputError for one that is missing, damaged, or unlike the first.
+    """
+    first, expected = open_image(files[0]), None
+    slices = []
+    for file in files:
+        layout = formats.read_tiff_format(file) if formats.is_tiff(file) else None
+        header = replace(layout, stored=None, offsets=(), is_compressed=False) if layout else _check_header(file)
+        expected = expected or header
+        if header != expected:
+            raise InputError(f"{file}: another size or type than {files[0].name}; keep slices of one volume alone in "
+                             "the folder")
+        slices.append(ImageFile(file, layout or first.layout, first.windowed))
+    return slices
+
+
 def _open(path: Path) -> tuple[ImageFile, NDArray[Any] | None]:
     """An image, and its decoded pixels where the file cannot be read window by window."""
     require_file(path, "image file")
@@ -261,22 +282,3 @@ def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
         if applies:
             # Told of the line that opens the image.
             warnings.warn(f"{path}: {message}", stacklevel=4)
-
-
-def read_mask(path: Path, extent: Window) -> BoolArray:
-    """Read a mask, (height, width): True where the image is not 0, which are the pixels to use.
-
-    ``extent`` is the box of the image that it belongs to. Raises InputError where the mask cannot be read or has
-    another size.
-    """
-    source = open_mask(path, extent)
-    return np.asarray(source.read(source.extent) != 0)
-
-
-def open_mask(path: Path, extent: Window) -> ImageSource:
-    """Open the image of a mask; raises InputError as ``read_mask`` does."""
-    source = hold_image(path)
-    if source.extent != extent:
-        raise InputError(f"{path}: the mask is {source.extent.describe()} px, but its image is {extent.describe()} px; "
-                         "give a mask of the image's size")
-    return source

@@ -1,6 +1,7 @@
 """Windows of TIFF files, what a file's header says of its pixels, and grey levels of a colour image's channels.
 
-Only the strips or tiles under a window are read and decoded. What C libraries write straight to standard error, past
+A file's first page is an image, all of its pages are a volume. Only the strips or tiles under a window are read and
+decoded. What C libraries write straight to standard error, past
 Python, is caught.
 """
 
@@ -12,9 +13,11 @@ import struct
 import sys
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import product
+from math import prod
 from pathlib import Path
 from threading import Lock
 from typing import IO, Any
@@ -32,6 +35,10 @@ MOST_PIXELS_ALONG = 1_000_000
 MOST_PIXELS_DECODED = 1 << 28
 """Pixels of an image that can only be decoded whole, 16,384 x 16,384: it takes seconds, and a byte or more of memory a
 pixel. A larger value makes every look at a larger image as slow as that."""
+
+SAME_SIDE = 1e-3
+"""Relative difference of sides up to which a voxel is a cube: a tenth of a voxel over a hundred. A larger value
+strains more without a word."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,10 @@ class PixelFormat:
         Zero is stored for white.
     is_compressed : bool
         Pixels are decoded as they are read, so that only reading shows whether they can be.
+    stored : dtype or None
+        Type of grey levels that lie in the file as they are, row after row, in the file's byte order; None of others.
+    offsets : sequence of int
+        Their first byte in each page that was looked at; empty where they do not lie so.
     """
 
     width: int
@@ -65,6 +76,8 @@ class PixelFormat:
     n_pages: int = 1
     inverted: bool = False
     is_compressed: bool = False
+    stored: np.dtype[Any] | None = None
+    offsets: Sequence[int] = ()
 
     @property
     def saturation(self) -> float | None:
@@ -91,19 +104,27 @@ def to_grey(channels: NDArray[Any], n_colours: int) -> NDArray[Any]:
     return grey.astype(np.float32)
 
 
-def check_decoded_size(path: Path, width: int, height: int) -> None:
+def check_decoded_size(path: Path, *sizes: int) -> None:
     """Refuse an image that has to be decoded whole and has more than MOST_PIXELS_DECODED; raises InputError."""
-    if width * height > MOST_PIXELS_DECODED:
-        raise InputError(f"{path}: {width} x {height} px in a format that can only be decoded whole, which goes for "
-                         f"{MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of which only "
-                         "what is needed is read")
+    if prod(sizes) > MOST_PIXELS_DECODED:
+        raise InputError(f"{path}: {' x '.join(map(str, sizes))} px in a format that can only be decoded whole, which "
+                         f"goes for {MOST_PIXELS_DECODED >> 20} Mi pixels at most; save it as uncompressed TIFF, of "
+                         "which only what is needed is read")
 
 
-def check_claimed_size(path: Path, width: int, height: int) -> None:
+def check_claimed_size(path: Path, *sizes: int) -> None:
     """Refuse an image whose header claims a side longer than MOST_PIXELS_ALONG; raises InputError."""
-    if max(width, height) > MOST_PIXELS_ALONG:
-        raise InputError(f"{path}: its header claims {width} x {height} px; images have {MOST_PIXELS_ALONG} columns "
-                         "and rows at most; copy or save it again, if it is not damaged")
+    if max(sizes) > MOST_PIXELS_ALONG:
+        raise InputError(f"{path}: its header claims {' x '.join(map(str, sizes))} px; images have {MOST_PIXELS_ALONG} "
+                         "columns and rows at most; copy or save it again, if it is not damaged")
+
+
+def check_cubes(path: Path, sides: Sequence[float]) -> None:
+    """Refuse voxels whose sides, (x, y, z) in any unit, differ by more than SAME_SIDE; raises InputError."""
+    if max(sides) - min(sides) > SAME_SIDE * max(sides):
+        listed = " x ".join(f"{side:g}" for side in sides)
+        raise InputError(f"{path}: voxels of {listed} by its header, cubes expected; resample it, or correct the "
+                         "header where that is wrong")
 
 
 # tifffile tells of damage by its log, beside what it raises; what matters of it is checked here.
@@ -129,12 +150,23 @@ def is_tiff(path: Path) -> bool:
         return stream.read(4) in MAGIC
 
 
-def read_tiff_format(path: Path) -> PixelFormat:
-    """Read size and type of a TIFF file's first page from the header alone; raises InputError if it cannot be used."""
+def read_tiff_format(path: Path, dim: int = 2) -> PixelFormat:
+    """Read size and type of a TIFF file's first page, where ``dim`` is 3 of all pages, from the headers alone.
+
+    Raises InputError if it cannot be used, for pages that are unlike as well, or for voxels that are no cubes.
+    """
     with _opened(path) as (tiff, page):
+        pages = list(tiff.pages) if dim == 3 else [page]
+        for each in pages:
+            _check_page(path, each)
+            _check_segments(path, tiff, each)
         n_pages = len(tiff.pages)
-        _check_page(path, page)
-        _check_segments(path, tiff, page)
+        offsets: Sequence[int] = [int(each.dataoffsets[0]) for each in pages]
+        if dim == 3:
+            _check_stack(path, tiff, pages)
+            if n_pages == 1:
+                offsets = _find_planes(path, tiff, page)
+                n_pages = len(offsets)
         colours = 3 if int(page.photometric) == COLOUR else 1
         bits, dtype = int(page.bitspersample), _pixel_type(page)
         levels = _read_palette(page)
@@ -142,11 +174,46 @@ def read_tiff_format(path: Path) -> PixelFormat:
             colours = 3 if levels.dtype == np.float32 else 1
             dtype = np.dtype(np.uint8) if colours == 3 else levels.dtype
             bits = 8 * dtype.itemsize
+        is_flat = all(map(_lies_together, pages))
+        is_plain = is_flat and (page.photometric, page.samplesperpixel) == (GREY, 1)
         return PixelFormat(width=int(page.imagewidth), height=int(page.imagelength),
                            dtype=dtype, bits=bits, n_colours=colours,
                            n_channels=int(page.samplesperpixel), n_pages=n_pages,
                            inverted=int(page.photometric) == INVERTED_GREY,
-                           is_compressed=not _lies_together(page))
+                           is_compressed=not is_flat,
+                           stored=dtype.newbyteorder(tiff.byteorder) if is_plain else None,
+                           offsets=offsets if is_plain else ())
+
+
+def _check_stack(path: Path, tiff: Any, pages: Sequence[Any]) -> None:
+    """Refuse pages that are no planes of one volume: unlike, of several channels or times; voxels that are no cubes."""
+    first, *others = ((page.imagewidth, page.imagelength, page.dtype, page.bitspersample, page.samplesperpixel,
+                       page.photometric, page.compression) for page in pages)
+    unlike = next((number for number, other in enumerate(others, start=2) if other != first), None)
+    if unlike is not None:
+        raise InputError(f"{path}: page {unlike} has another size or type than the first; keep one volume in the file")
+    axes = next((series.axes for series in tiff.series if len(series.shape) > 3 and "S" not in series.axes),
+                None)
+    if axes is not None:
+        raise InputError(f"{path}: a stack of axes {axes}; save one channel and one time alone, of axes ZYX")
+    said = tiff.imagej_metadata or {}
+    if "spacing" in said:
+        along = [pages[0].tags.get(name) for name in ("XResolution", "YResolution")]
+        sides = [1.0 if tag is None else tag.value[1] / tag.value[0] for tag in along]
+        check_cubes(path, [*sides, float(said["spacing"])])
+
+
+def _find_planes(path: Path, tiff: Any, page: Any) -> Sequence[int]:
+    """First bytes of the planes where one page is described: ImageJ lets all of a large stack follow the first."""
+    shape, start = tiff.series[0].shape, int(page.dataoffsets[0])
+    if len(shape) != 3 or page.samplesperpixel != 1 or not _lies_together(page):
+        return [start]
+    size = int(page.imagelength) * int(page.imagewidth) * _pixel_type(page).itemsize
+    offsets = range(start, start + shape[0] * size, size)
+    if offsets.stop > tiff.filehandle.size:
+        raise InputError(f"{path}: cut short, or damaged: its header claims {shape[0]} pages, which the "
+                         f"{tiff.filehandle.size} bytes of the file do not hold; copy or save it again")
+    return offsets
 
 
 def can_decode(path: Path) -> bool:
@@ -184,18 +251,27 @@ def describe_other_compression(path: Path) -> str | None:
 
 
 def read_tiff(path: Path, layout: PixelFormat, window: Window) -> NDArray[Any]:
-    """Read grey levels of a window of the first page, (window.height, window.width).
+    """Read grey levels of a window of the first page, or of a box of the pages, an array of its shape.
 
     ``layout`` is that of the first page. Raises InputError if a segment is cut short or cannot be decoded.
     """
     with _opened(path) as (tiff, page):
-        out = np.empty((window.height, window.width), np.float32 if layout.n_colours == 3 else layout.dtype)
-        levels = _read_palette(page)
-        for block, x, y in _blocks(tiff, page, layout, window):
-            part = window.intersection(Window((x, y), (x + block.shape[1], y + block.shape[0])))
-            pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
-            out[window.locate(part)] = to_grey(pixels, layout.n_colours) if levels is None else levels[pixels[..., 0]]
-        return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
+        if len(window.lower) == 2:
+            return _read_page(tiff, page, layout, window)
+        plane = Window(window.lower[:2], window.upper[:2])
+        return np.stack([_read_page(tiff, tiff.pages[number], layout, plane)
+                         for number in range(window.lower[2], window.upper[2])])
+
+
+def _read_page(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> NDArray[Any]:
+    """Grey levels of a window of one page."""
+    out = np.empty(window.shape, np.float32 if layout.n_colours == 3 else layout.dtype)
+    levels = _read_palette(page)
+    for block, x, y in _blocks(tiff, page, layout, window):
+        part = window.intersection(Window((x, y), (x + block.shape[1], y + block.shape[0])))
+        pixels = block[part.y0 - y:part.y1 - y, part.x0 - x:part.x1 - x]
+        out[window.locate(part)] = to_grey(pixels, layout.n_colours) if levels is None else levels[pixels[..., 0]]
+    return np.subtract(2 ** layout.bits - 1, out, dtype=out.dtype) if layout.inverted else out
 
 
 @contextmanager
@@ -216,7 +292,7 @@ def _check_page(path: Path, page: Any) -> None:
     if page.dtype is None or page.dtype.kind not in "buif":
         raise InputError(f"{path}: pixels of type {page.dtype} cannot be used; save 8 or 16 bit, or float32")
     if page.imagedepth != 1:
-        raise InputError(f"{path}: a volume of {page.imagedepth} slices; give one two-dimensional image")
+        raise InputError(f"{path}: a page of {page.imagedepth} planes; save each plane as a page of its own")
     if page.imagewidth < 1 or page.imagelength < 1 or not page.dataoffsets:
         raise InputError(f"{path}: the TIFF file holds no pixels; save it again")
     if int(page.photometric) == INVERTED_GREY and page.dtype.kind not in "bu":
@@ -310,12 +386,11 @@ def _bands(tiff: Any, page: Any, layout: PixelFormat, window: Window) -> Iterato
 def _segments(tiff: Any, page: Any, window: Window, numbers: range) -> Iterator[tuple[NDArray[Any], int, int]]:
     """Strips or tiles under the window, decoded one by one; numbers: of those of one plane."""
     height, width = _segment_size(page)
-    columns = -(-page.imagewidth // width)
-    for number in numbers:
-        row, column = divmod(number - numbers.start, columns)
-        x, y = column * width, row * height
-        if window.intersection(Window((x, y), (x + width, y + height))).n_pixels == 0:
-            continue
+    n_columns = -(-page.imagewidth // width)
+    places = product(range(window.y0 // height, -(-window.y1 // height)),
+                     range(window.x0 // width, -(-window.x1 // width)))
+    for row, column in places:
+        number, x, y = numbers[row * n_columns + column], column * width, row * height
         n_bytes = page.databytecounts[number]
         data = _read_bytes(tiff, page.dataoffsets[number], n_bytes) if n_bytes else None
         pixels, _, shape = page.decode(data, number)

@@ -1,8 +1,12 @@
-"""Files to be read: whether they are there, and still those looked at before; the source tree that ddic runs from."""
+"""Files to be read: whether they are there, what else belongs to them, and whether they are still those looked at.
+
+The source tree that ddic runs from.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import stat
 import subprocess
 from collections.abc import Iterable, Mapping
@@ -55,6 +59,69 @@ def is_readable_file(path: Path) -> bool:
     return os.path.isfile(path)
 
 
+DATASET = "::"
+"""Between the name of a file and that of one of several arrays in it."""
+
+SLICES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
+"""Endings of images that are slices of a volume where they share a folder."""
+
+ZARR = ("zarr.json", ".zarray", ".zgroup")
+"""One of them is in the folder of a Zarr array, or group of arrays."""
+
+_DATA_FILE = re.compile(rb"^(?:ElementDataFile *=|data ?file:) *(.+?)\s*$", re.IGNORECASE | re.MULTILINE)
+"""What MetaImage and NRRD call the file with the voxels that a header belongs to."""
+
+
+def split_dataset(path: Path) -> tuple[Path, str]:
+    """Split a path such as ``scan.h5::entry/data``: the file, and the array in it, empty where none is named."""
+    file, mark, name = str(path).partition(DATASET)
+    return (Path(file), name) if mark and not os.path.exists(path) else (path, "")
+
+
+def is_zarr(folder: Path) -> bool:
+    """Tell whether a folder is a Zarr array, or a group of them."""
+    return any(is_readable_file(folder / name) for name in ZARR)
+
+
+def split_numbers(path: Path) -> list[tuple[int, int, str]]:
+    """Split a name into what sorts it as people number files: 2 before 10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]
+
+
+def list_parts(path: Path) -> list[Path]:
+    """List the files that make what a path names, which is one of them, or a folder of them, or of no other.
+
+    They are the slices in a folder in the order of their numbers, all files of a Zarr folder, and the file that an
+    array is in. A header comes with the file that holds the voxels, raw numbers with their sidecar.
+    """
+    file, name = split_dataset(path)
+    try:
+        if os.path.isdir(file):
+            return _list_folder(file, name)
+        beside = [find_sidecar(file)]
+        if file.suffix.lower() in (".mhd", ".nhdr"):
+            with file.open("rb") as stream:
+                found = _DATA_FILE.search(stream.read(1 << 16))
+            beside += [file.parent / os.fsdecode(found[1])] if found else []
+        return [file, *filter(is_readable_file, beside)]
+    except OSError:
+        return [file]
+
+
+def _list_folder(folder: Path, name: str) -> list[Path]:
+    if is_zarr(folder):
+        return sorted(file for file in (folder / name).rglob("*") if file.is_file())
+    files = [Path(entry.path) for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith(".")]
+    slices = [file for file in files if file.suffix.lower() in SLICES]
+    return sorted(slices or files, key=split_numbers)
+
+
+def find_sidecar(path: Path) -> Path:
+    """Find the name of the file that says what raw numbers are."""
+    return path.with_name(f"{path.name}.toml")
+
+
 Stamp = tuple[int, int, int]
 """Number of the file in its file system, size in bytes, time of the last writing in nanoseconds."""
 
@@ -73,13 +140,14 @@ class FileStamps:
 
     @classmethod
     def take(cls, paths: Iterable[Path | None]) -> FileStamps:
-        """Look at files as they are now; those that are not there, or None, are left out."""
-        found = {path: _read_stamp(path) for path in paths if path is not None}
+        """Look at files, and all that belongs to them, as they are now; what is not there, or None, is left out."""
+        found = {part: _read_stamp(part) for path in paths if path is not None for part in list_parts(path)}
         return cls({path: stamp for path, stamp in found.items() if stamp is not None})
 
     def choose(self, paths: Iterable[Path | None]) -> FileStamps:
         """Keep the stamps of the given files, as far as they were looked at, and leave out others."""
-        return FileStamps({path: self.stamps[path] for path in paths if path is not None and path in self.stamps})
+        parts = (part for path in paths if path is not None for part in list_parts(path))
+        return FileStamps({part: self.stamps[part] for part in parts if part in self.stamps})
 
     def list_changes(self) -> list[str]:
         """Say what has become of files that are no longer the same, a line each."""

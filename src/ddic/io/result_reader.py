@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.io import damaged_result as damage
 from ddic.io import result_schema as schema
 from ddic.io.hdf5_file import NONE_KNOWN, READ_ERRORS, Arrays, describe_damage, open_hdf5, read_array
 from ddic.io.input_file import FileStamps, as_path, require_file
-from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cell_parts import find_offsets, list_ranges
+from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.interpolation import EDGE, differentiate_shapes_at, interpolate, locate
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.plane import build_tree
@@ -244,6 +245,27 @@ class Result:
         """The residual image as the image lies, grey levels, read at first use; None if it was not written."""
         with opened_result(self.path) as (_, file):
             return _read_residual_image(file)
+
+    @cached_property
+    def residual_extent(self) -> Window | None:
+        """The box of the residual image's pixels; None if it was not written."""
+        with self._opened_residual() as stored:
+            return None if stored is None else Window.of_size(*stored.shape[::-1])
+
+    def read_residual(self, window: Window) -> NDArray[np.float32]:
+        """Read a window inside the residual image, which was written: of a volume what is looked at, grey levels."""
+        with self._opened_residual() as stored:
+            part = Window.of_size(*stored.shape[::-1]).locate_inside(window)
+            return stored[part] if isinstance(stored, np.ndarray) else read_array(stored, part).astype(np.float32)
+
+    @contextmanager
+    def _opened_residual(self) -> Iterator[Any]:
+        """The residual image, in the file where it was not read yet; None if it was not written."""
+        if "residual_image" in self.__dict__:
+            yield self.residual_image
+        else:
+            with opened_result(self.path) as (_, file):
+                yield _find_residual_image(file)
 
 
 def read_result(path: Path | str) -> Result:
@@ -481,12 +503,18 @@ def _read_separated(file: Any) -> SeparatedField | None:
 
 def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
     """The first residual image of an open file; None if there is none."""
+    stored = _find_residual_image(file)
+    return None if stored is None else read_array(stored).astype(np.float32, copy=False)
+
+
+def _find_residual_image(file: Any) -> Any:
+    """The dataset of that image."""
     if schema.RESIDUAL_IMAGE not in file:
         return None
-    image = read_array(file[schema.RESIDUAL_IMAGE][schema.RESIDUAL])
+    image = file[schema.RESIDUAL_IMAGE][schema.RESIDUAL]
     if image.ndim not in (2, 3) or image.dtype.kind != "f" or not image.size:
         raise ValueError(f"{schema.RESIDUAL}: an array of {image.dtype}, shape {image.shape}; rows of numbers expected")
-    return image.astype(np.float32, copy=False)
+    return image
 
 
 def merge_pieces(grid: Arrays, points: Array, global_node_ids: IntArray,
@@ -511,8 +539,9 @@ def merge_pieces(grid: Arrays, points: Array, global_node_ids: IntArray,
     counts = np.delete(np.diff(offsets, append=0), last)
     starts, counts = starts[order], counts[order]
     picked = list_ranges(starts, counts)
-    mesh = Mesh(np.ascontiguousarray(points[first_copy, :get_dim(grid["Types"])]), connectivity[picked].astype(np.int64),
-                find_offsets(counts), grid["Types"][order].astype(np.uint8))
+    nodes = np.ascontiguousarray(points[first_copy, :get_dim(grid["Types"])])
+    mesh = Mesh(nodes, connectivity[picked].astype(np.int64), find_offsets(counts),
+                grid["Types"][order].astype(np.uint8))
     return mesh, first_copy, order
 
 

@@ -1,9 +1,9 @@
 """Displacement gradients at nodes, recovered from the cells around each of them.
 
 The mean of the gradients of the triangles, or tetrahedra, that a node makes with its neighbours along edges, weighted
-by their sizes, is the gradient at the node where the displacement is linear. Curvature adds to it where they do not lie evenly
-about the node; it is taken away by the slopes of the gradients in the middle of the cells, which are found by least
-squares as in superconvergent patch recovery (Zienkiewicz and Zhu, IJNME 33, 1992). At edges of the mesh and along
+by their sizes, is the gradient at the node where the displacement is linear. Curvature adds to it where they do not
+lie evenly about the node; it is taken away by the slopes of the gradients in the middle of the cells, which are found
+by least squares as in superconvergent patch recovery (Zienkiewicz and Zhu, IJNME 33, 1992). At edges of the mesh and along
 discontinuities, where cells lie to one side, neighbours tell the slopes, and gradients are averaged along the edge. No
 cell across a discontinuity is asked: its nodes are others. All comes of sums over the cells around each node.
 """
@@ -168,7 +168,7 @@ def _without_unmeasured_cells(mesh: Mesh, u: Array) -> Mesh:
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Derivatives by x_k of du_c / dx_j at nodes, 1/px: value (n_nodes, dim, dim, dim), zero where they are not known."""
+    """Derivatives by x_k of du_c / dx_j at nodes, 1/px: value (n_nodes, dim, dim, dim), zero where not known."""
 
     value: Array
     known: BoolArray
@@ -219,7 +219,7 @@ def _average_simplices(sums: Array, slope: Array) -> Array:
 
 
 def _carry_slopes(mesh: Mesh, slopes: _Slopes) -> Array:
-    """Sums for nodes without slopes over those of the same cells that have them, (n_nodes, 1 + dim^3): 1, slope; by size."""
+    """Sums for nodes without slopes over those of their cells with them, (n_nodes, 1 + dim^3): 1, slope; by size."""
     pairs = _pair_nodes(mesh, ~slopes.known, slopes.known)
     return _sum_pairs(mesh, pairs, slopes.value[pairs.source].reshape(-1, mesh.dim**3))
 
@@ -233,7 +233,7 @@ def _take(slopes: _Slopes, carried: Array) -> _Slopes:
 
 
 def _sum_along_edges(mesh: Mesh, found: _AtNodes) -> Array:
-    """Sums for nodes at edges over those of the same cells, themselves too, (n_nodes, 1 + dim^2): 1, gradient; by size."""
+    """Sums for nodes at edges over those of their cells, themselves too, (n_nodes, 1 + dim^2): 1, gradient; by size."""
     pairs = _pair_nodes(mesh, found.at_edge, found.at_edge)
     way = mesh.nodes[pairs.target] - mesh.nodes[pairs.source]
     # By the trapezoidal rule from node to node, whose error is of third order.

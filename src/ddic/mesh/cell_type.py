@@ -116,6 +116,12 @@ class CellType:
         return int(self.nodes.shape[1])
 
     @property
+    def parts_of_squared_shape(self) -> float:
+        """A cell over the integral of a node's squared shape function: 9 of a quadrangle, 6 of a triangle."""
+        is_simplex = self.n_nodes == self.dim + 1
+        return 0.5 * (self.dim + 1) * (self.dim + 2) if is_simplex else 3.0**self.dim
+
+    @property
     def centre(self) -> Array:
         """Centre of the reference cell, (dim,)."""
         return np.asarray(self.nodes.mean(axis=0))

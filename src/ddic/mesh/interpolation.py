@@ -1,5 +1,6 @@
 """Values at any point of a mesh, by the shape functions of the cell that holds it; which points lie in which cells."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -9,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray, IntArray
-from ddic.mesh.cell_type import differentiate_monomials, evaluate_monomials
+from ddic.mesh.cell_type import TET4, differentiate_monomials, evaluate_monomials
 from ddic.mesh.mesh import Mesh, compute_geometry, pad_cells, pad_shapes
 from ddic.mesh.plane import is_inside_edges, multiply_across
 from ddic.mesh.topology import find_boundary_facets
@@ -44,18 +45,26 @@ class Located:
 
 
 class _Buckets(NamedTuple):
-    """A grid of squares over a mesh, and the cells whose bounding boxes touch each, in ascending order.
+    """A grid of squares or cubes over a mesh, and the cells whose bounding boxes touch each, in ascending order.
 
-    low: (2,) corner of the grid, pixels; size: of a square, pixels; bucket k, numbered row by row, holds
-    cells[first[k]:first[k + 1]].
+    low: (dim,) corner of the grid, pixels; size: of a square or a cube, pixels; counts: (3,) of them along x, y and z,
+    one along z in the plane; bucket k, numbered row by row, holds cells[first[k]:first[k + 1]].
     """
 
     low: Array
     size: float
-    columns: int
-    rows: int
+    counts: IntArray
     first: IntArray
     cells: IntArray
+
+
+class _ShapesInSpace(NamedTuple):
+    """Where cells in space lie: X of eight monomials, (n, 3, 8), corners of boxes, (n, 3), whether each is a Tet4."""
+
+    geometry: Array
+    lowest: Array
+    highest: Array
+    is_tet: BoolArray
 
 
 def interpolate(mesh: Mesh, values: Array, points: Array) -> Array:
@@ -145,18 +154,26 @@ class CellSearch:
         """Find the cells that hold points, as ``locate`` does."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         cells = np.full(len(points), -1, dtype=np.int64)
-        if self.mesh.n_cells:
+        if self.mesh.n_cells and self.mesh.dim == 3:
+            _find_cells_in_space(points, self._shapes_in_space, self._buckets, EDGE, cells)
+        elif self.mesh.n_cells:
             _find_cells(points, self.mesh.outlines, self._buckets, EDGE, cells)
         return place_in_cells(self.mesh, cells, points)
 
+    @cached_property
+    def _shapes_in_space(self) -> _ShapesInSpace:
+        lowest, highest = self.mesh.outlines.find_boxes()
+        return _ShapesInSpace(_pad_geometry(compute_geometry(self.mesh)), lowest, highest, self.mesh.types == TET4.vtk)
+
     def list_near(self, point: tuple[float, float]) -> IntArray:
-        """List the cells, sorted, that reach within about two mean sizes of a cell from a point, pixels."""
+        """List the plane cells, sorted, that reach within about two mean sizes of a cell from a point, pixels."""
         buckets = self._buckets
         column, row = np.floor((np.array(point) - buckets.low) / buckets.size).astype(int)
-        begin, end = np.clip([column - 2, column + 3], 0, buckets.columns)
+        columns, rows, _ = buckets.counts
+        begin, end = np.clip([column - 2, column + 3], 0, columns)
         near = [np.zeros(0, np.int64)]
-        for k in range(max(row - 2, 0), min(row + 3, buckets.rows)):
-            first, last = buckets.first[k * buckets.columns + np.array([begin, end])]
+        for k in range(max(row - 2, 0), min(row + 3, rows)):
+            first, last = buckets.first[k * columns + np.array([begin, end])]
             near.append(buckets.cells[first:last])
         return np.unique(np.concatenate(near))
 
@@ -169,41 +186,49 @@ def place_in_cells(mesh: Mesh, cells: IntArray, points: Array) -> Located:
     held = np.flatnonzero(is_held)
     if len(held):
         numbers = np.cumsum(is_held) - 1
-        _find_local_coordinates(points, np.where(cells < 0, -1, numbers[cells]), compute_geometry(mesh, held), local)
+        of_points, geometry = np.where(cells < 0, -1, numbers[cells]), compute_geometry(mesh, held)
+        if mesh.dim == 3:
+            _find_local_coordinates_in_space(points, of_points, _pad_geometry(geometry), local)
+        else:
+            _find_local_coordinates(points, of_points, geometry, local)
     return Located(cells, local)
 
 
 def _sort_into_buckets(mesh: Mesh) -> _Buckets:
-    """Sort a mesh's cells into a grid of about as many squares."""
+    """Sort a mesh's cells into a grid of about as many squares or cubes."""
     lowest, highest = mesh.outlines.find_boxes()
     lowest, highest = lowest - EDGE, highest + EDGE
     low, high = lowest.min(axis=0), highest.max(axis=0)
-    width, height = high - low
-    size = float(np.sqrt(width * height * CELLS_A_BUCKET / mesh.n_cells))
-    columns, rows = int(width / size) + 1, int(height / size) + 1
-    begin = np.floor((lowest - low) / size).astype(np.int64)
-    end = np.floor((highest - low) / size).astype(np.int64) + 1
-    first, cells = _fill_buckets(begin, end, columns, rows)
-    return _Buckets(low, size, columns, rows, first, cells)
+    size = float((np.prod(high - low) * CELLS_A_BUCKET / mesh.n_cells)**(1 / mesh.dim))
+    counts, begin = np.ones(3, np.int64), np.zeros((mesh.n_cells, 3), np.int64)
+    end = begin + 1
+    counts[:mesh.dim] = (high - low) / size + 1.0
+    begin[:, :mesh.dim] = (lowest - low) / size
+    end[:, :mesh.dim] = (highest - low) / size + 1.0
+    first, cells = _fill_buckets(begin, end, counts)
+    return _Buckets(low, size, counts, first, cells)
 
 
 @numba.njit(cache=True)
-def _fill_buckets(begin, end, columns, rows):  # type: ignore[no-untyped-def]
-    """Cells by bucket, from the half-open ranges of columns and rows that each cell's bounding box touches."""
-    first = np.zeros(columns * rows + 1, dtype=np.int64)
+def _fill_buckets(begin, end, counts):  # type: ignore[no-untyped-def]
+    """Cells by bucket, from the half-open ranges along x, y and z that each cell's bounding box touches."""
+    columns, rows, planes = counts
+    first = np.zeros(columns * rows * planes + 1, dtype=np.int64)
     for e in range(len(begin)):
-        for row in range(begin[e, 1], end[e, 1]):
-            for column in range(begin[e, 0], end[e, 0]):
-                first[row * columns + column + 1] += 1
+        for plane in range(begin[e, 2], end[e, 2]):
+            for row in range(begin[e, 1], end[e, 1]):
+                for column in range(begin[e, 0], end[e, 0]):
+                    first[(plane * rows + row) * columns + column + 1] += 1
     first = np.cumsum(first)
     cells = np.empty(first[-1], dtype=np.int64)
     place = first[:-1].copy()
     for e in range(len(begin)):
-        for row in range(begin[e, 1], end[e, 1]):
-            for column in range(begin[e, 0], end[e, 0]):
-                bucket = row * columns + column
-                cells[place[bucket]] = e
-                place[bucket] += 1
+        for plane in range(begin[e, 2], end[e, 2]):
+            for row in range(begin[e, 1], end[e, 1]):
+                for column in range(begin[e, 0], end[e, 0]):
+                    bucket = (plane * rows + row) * columns + column
+                    cells[place[bucket]] = e
+                    place[bucket] += 1
     return first, cells
 
 
@@ -230,9 +255,9 @@ def _find_cells(points, outlines, buckets, edge, cells):  # type: ignore[no-unty
         x, y = points[k, 0], points[k, 1]
         # Compared before they are whole numbers, so that nan and infinity are nowhere.
         column, row = (x - buckets.low[0]) / buckets.size, (y - buckets.low[1]) / buckets.size
-        if not (0.0 <= column < buckets.columns and 0.0 <= row < buckets.rows):
+        if not (0.0 <= column < buckets.counts[0] and 0.0 <= row < buckets.counts[1]):
             continue
-        bucket = int(row) * buckets.columns + int(column)
+        bucket = int(row) * buckets.counts[0] + int(column)
         deepest = -edge
         for i in range(buckets.first[bucket], buckets.first[bucket + 1]):
             e = buckets.cells[i]
@@ -266,6 +291,97 @@ def _find_local_coordinates(points, cells, geometry, local):  # type: ignore[no-
         s = np.sqrt(max((1.0 + hg) * (1.0 + hg) - 4.0 * gf * he, 0.0))
         local[k, 0] = 2.0 * hf / (1.0 - hg + s)
         local[k, 1] = -2.0 * he / (1.0 + hg + s)
+
+
+NEWTON_STEPS = 30
+"""Steps at most by which a place in a warped cell in space is sought; a few find it in the cell."""
+
+CLOSE = 1e-9
+"""Step of local coordinates that is the last one: the next would be as its square."""
+
+
+def _pad_geometry(geometry: Array) -> Array:
+    """X with eight monomials, of which tetrahedra need four."""
+    return np.pad(geometry, ((0, 0), (0, 0), (0, 8 - geometry.shape[2])))
+
+
+@numba.njit(cache=True)
+def _map_to_axis(X, xi, eta, zeta):  # type: ignore[no-untyped-def]
+    """A coordinate of a point of a cell, and its slopes by the local ones."""
+    value = (X[0] + X[1] * xi + X[2] * eta + X[3] * zeta
+             + X[4] * xi * eta + X[5] * xi * zeta + X[6] * eta * zeta + X[7] * xi * eta * zeta)
+    return (value, X[1] + X[4] * eta + X[5] * zeta + X[7] * eta * zeta,
+            X[2] + X[4] * xi + X[6] * zeta + X[7] * xi * zeta, X[3] + X[5] * xi + X[6] * eta + X[7] * xi * eta)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _invert_map(X, point):  # type: ignore[no-untyped-def]
+    """Solve x = sum X_m phi_m(xi) by Newton's method: xi, (3,), and the rows d xi_k / dx there, three times (3,)."""
+    xi, eta, zeta = 0.0, 0.0, 0.0
+    for _ in range(NEWTON_STEPS):
+        x, a, b, c = _map_to_axis(X[0], xi, eta, zeta)
+        y, d, f, g = _map_to_axis(X[1], xi, eta, zeta)
+        z, h, i, j = _map_to_axis(X[2], xi, eta, zeta)
+        x, y, z = point[0] - x, point[1] - y, point[2] - z
+        det = a * (f * j - g * i) + b * (g * h - d * j) + c * (d * i - f * h)
+        first = (f * j - g * i) / det, (c * i - b * j) / det, (b * g - c * f) / det
+        second = (g * h - d * j) / det, (a * j - c * h) / det, (c * d - a * g) / det
+        third = (d * i - f * h) / det, (b * h - a * i) / det, (a * f - b * d) / det
+        d_xi = first[0] * x + first[1] * y + first[2] * z
+        d_eta = second[0] * x + second[1] * y + second[2] * z
+        d_zeta = third[0] * x + third[1] * y + third[2] * z
+        xi, eta, zeta = xi + d_xi, eta + d_eta, zeta + d_zeta
+        if abs(d_xi) + abs(d_eta) + abs(d_zeta) < CLOSE:
+            break
+    return (xi, eta, zeta), first, second, third
+
+
+@numba.njit(cache=True)
+def _find_local_coordinates_in_space(points, cells, geometry, local):  # type: ignore[no-untyped-def]
+    """Local coordinates of each point in its cell; none where that is -1."""
+    for k in range(len(points)):
+        if cells[k] >= 0:
+            local[k, 0], local[k, 1], local[k, 2] = _invert_map(geometry[cells[k]], points[k])[0]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _measure_depth_in_space(X, point, is_tet):  # type: ignore[no-untyped-def]
+    """Least signed distance of a point near a cell from the cell's faces, positive inside, to first order."""
+    (xi, eta, zeta), (a, b, c), (d, f, g), (h, i, j) = _invert_map(X, point)
+    # From faces, in local coordinates, over the lengths of these coordinates' gradients.
+    of_xi, of_eta, of_zeta = (xi, eta, zeta) if is_tet else (1.0 - abs(xi), 1.0 - abs(eta), 1.0 - abs(zeta))
+    least = min(of_xi / math.sqrt(a * a + b * b + c * c), of_eta / math.sqrt(d * d + f * f + g * g),
+                of_zeta / math.sqrt(h * h + i * i + j * j))
+    if is_tet:
+        a, b, c = a + d + h, b + f + i, c + g + j
+        least = min(least, (1.0 - xi - eta - zeta) / math.sqrt(a * a + b * b + c * c))
+    return least
+
+
+@numba.njit(cache=True)
+def _find_cells_in_space(points, shapes, buckets, edge, cells):  # type: ignore[no-untyped-def]
+    """The first cell that holds each point, or else the nearest one within the distance ``edge``."""
+    columns, rows, planes = buckets.counts
+    low = buckets.low
+    for k in range(len(points)):
+        x, y, z = points[k]
+        column, row, plane = (x - low[0]) / buckets.size, (y - low[1]) / buckets.size, (z - low[2]) / buckets.size
+        if not (0.0 <= column < columns and 0.0 <= row < rows and 0.0 <= plane < planes):
+            continue
+        bucket = (int(plane) * rows + int(row)) * columns + int(column)
+        deepest = -edge
+        for n in range(buckets.first[bucket], buckets.first[bucket + 1]):
+            e = buckets.cells[n]
+            begin, end = shapes.lowest[e], shapes.highest[e]
+            if (x < begin[0] - edge or y < begin[1] - edge or z < begin[2] - edge
+                    or x > end[0] + edge or y > end[1] + edge or z > end[2] + edge):
+                continue
+            depth = _measure_depth_in_space(shapes.geometry[e], points[k], shapes.is_tet[e])
+            if depth >= deepest:
+                cells[k] = e
+                deepest = depth
+            if depth >= 0.0:
+                break
 
 
 def is_inside_outline(points: Array, mesh: Mesh) -> BoolArray:

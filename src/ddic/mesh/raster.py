@@ -27,6 +27,9 @@ SNAP = float(2**20)
 """Crossings are rounded to multiples of 1/SNAP px, so that rounding errors where two edges meet cannot fall on
 different sides of a pixel centre; a larger value rounds less and forgives less."""
 
+BAND_PIXELS = 1 << 24
+"""Pixels that are looked at together where cells may overlap; a larger value takes memory."""
+
 
 @dataclass(frozen=True)
 class Raster:
@@ -83,14 +86,28 @@ class Raster:
 
     def draw_cells(self, cells: IntArray, window: Window) -> NDArray[np.uint8]:
         """Draw the pixels of some cells in a window: 1 there, 0 elsewhere."""
+        drawn = np.zeros(window.shape, dtype=np.uint8)
+        _fill_ones(*self._place_runs(cells, window), drawn.reshape(-1, window.width))
+        return drawn
+
+    def find_shared(self, extent: Window) -> IntArray:
+        """Count the pixels of each cell that other cells hold too, (n_cells,); ``extent`` has all pixels."""
+        shared = np.zeros(len(self.n_rows), dtype=np.int64)
+        for band in extent.split_rows(max(1, BAND_PIXELS * extent.sizes[-1] // extent.n_pixels)):
+            last_rows = self.first_rows[:, -1] + self.n_rows[:, -1]
+            cells = np.flatnonzero((self.first_rows[:, -1] < band.upper[-1]) & (last_rows > band.lower[-1]))
+            n_cells = np.zeros(band.shape, dtype=np.uint16)
+            _add_ones(*self._place_runs(cells, band), n_cells.reshape(-1, band.width))
+            shared += self.sum_by_cell((n_cells > 1).astype(np.uint8), band)
+        return shared
+
+    def _place_runs(self, cells: IntArray, window: Window) -> tuple[IntArray, IntArray, IntArray]:
+        """Rows of a window, one after the other, on which runs of some cells lie, and where these begin and end."""
         runs, rows, _ = self.find_runs(cells)
         rows = rows - window.lower[1:]
         inside = ((rows >= 0) & (rows < window.sizes[1:])).all(axis=1)
         starts, stops = (np.clip(ends[runs[inside]] - window.x0, 0, window.width) for ends in (self.starts, self.stops))
-        drawn = np.zeros(window.shape, dtype=np.uint8)
-        places = np.ravel_multi_index(rows[inside].T[::-1], window.shape[:-1])
-        _fill_ones(places, starts, stops, drawn.reshape(-1, window.width))
-        return drawn
+        return np.ravel_multi_index(rows[inside].T[::-1], window.shape[:-1]), starts, stops
 
     def find_runs(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         """Find the runs of some cells: numbers, (n_runs,), rows, (n_runs, dim - 1), and cells, (n_runs,)."""
@@ -327,6 +344,14 @@ def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
     """Put 1 on the pixels of some runs."""
     for k in range(len(rows)):
         image[rows[k], starts[k]:stops[k]] = 1
+
+
+@numba.njit(cache=True)
+def _add_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
+    """Add 1 to the pixels of some runs."""
+    for k in range(len(rows)):
+        for x in range(starts[k], stops[k]):
+            image[rows[k], x] += 1
 
 
 def list_pixels(raster: Raster, cells: IntArray) -> tuple[IntArray, IntArray]:

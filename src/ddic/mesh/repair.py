@@ -3,15 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
 from ddic.errors import InputError, list_first
 from ddic.images.window import Window
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.plane import build_tree, multiply_across
+from ddic.mesh.plane import build_tree
 from ddic.mesh.quality import measure_areas, measure_shape_quality
-from ddic.mesh.raster import Raster, find_crossings, rasterize
+from ddic.mesh.raster import find_crossings, rasterize
 from ddic.mesh.topology import Facets, find_distinct_rows, find_facets
 
 SMALLEST_SINE = 1e-8
@@ -127,10 +126,9 @@ def check_joints(mesh: Mesh) -> None:
     facets = find_facets(mesh)
     crowded = np.flatnonzero(facets.n_cells > 2)
     too_many = np.unique(facets.side_cells[np.isin(facets.side_facets, crowded)])
-    # TODO volumes
-    hanging = _find_hanging_nodes(mesh, facets) if mesh.dim == 2 else np.zeros(0, np.int64)
+    hanging = _find_hanging_nodes(mesh, facets)
     # Three cells at a side overlap, which is said once.
-    overlapping = np.setdiff1d(_find_overlapping_cells(mesh, facets) if mesh.dim == 2 else np.zeros(0, np.int64), too_many)
+    overlapping = np.setdiff1d(_find_overlapping_cells(mesh, facets), too_many)
     problems = []
     if len(crowded):
         problems.append(f"{len(crowded)} sides belong to more than two cells (among cells, numbered from 0: "
@@ -147,35 +145,38 @@ def check_joints(mesh: Mesh) -> None:
 
 
 def _find_hanging_nodes(mesh: Mesh, facets: Facets) -> IntArray:
-    """Nodes at the mesh's edge inside a side there that is not theirs."""
-    sides = facets.nodes[facets.n_cells == 1][:, :2]
-    nodes = np.unique(sides)
-    first, second = mesh.nodes[sides[:, 0]], mesh.nodes[sides[:, 1]]
-    lengths = np.linalg.norm(second - first, axis=1)
-    near = build_tree(mesh.nodes[nodes]).query_ball_point((first + second) / 2, lengths / 2)
+    """Nodes at the mesh's edge on a side there that is not theirs."""
+    facets_there = facets.nodes[facets.n_cells == 1]
+    # Sides in the plane; in space triangles, of which a face of four nodes has two.
+    sides = np.concatenate([facets_there[:, [0, *range(k, k + mesh.dim - 1)]]
+                            for k in range(1, facets_there.shape[1] - mesh.dim + 2)])
+    sides = sides[(sides >= 0).all(axis=1)]
+    nodes, corners = np.unique(sides), mesh.nodes[sides]
+    middles = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
+    near = build_tree(mesh.nodes[nodes]).query_ball_point(middles, radii)
     numbers = np.repeat(np.arange(len(sides)), [len(found) for found in near])
     found = nodes[np.concatenate(near).astype(np.int64)]
-    points, side = mesh.nodes[found] - first[numbers], (second - first)[numbers]
-    squares = (side**2).sum(axis=1)
-    # Places along the sides and off them, over the sides' lengths.
-    along, off = (points * side).sum(axis=1) / squares, multiply_across(points, side) / squares
-    is_inside = (along > ON_SIDE) & (along < 1 - ON_SIDE) & (np.abs(off) < ON_SIDE)
+    points, edges = mesh.nodes[found] - corners[numbers, 0], (corners[:, 1:] - corners[:, :1])[numbers]
+    # Shares of the corners in the place on the side that is nearest, and how far off that is, over the side's length.
+    along = np.linalg.solve(edges @ edges.transpose(0, 2, 1), (edges @ points[:, :, None]))[:, :, 0]
+    shares = np.column_stack([1.0 - along.sum(axis=1), along])
+    off = np.linalg.norm(points - np.einsum("nk,nkj->nj", along, edges), axis=1)
+    lengths = np.linalg.norm(edges, axis=2).max(axis=1)
+    is_inside = (shares > -ON_SIDE).all(axis=1) & (shares < 1 - ON_SIDE).all(axis=1) & (off < ON_SIDE * lengths)
     return np.asarray(np.unique(found[is_inside]))
 
 
 def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> IntArray:
     """Cells of which others hold more than SHARED of the pixels."""
-    if not _is_covered_twice(mesh, facets):
+    if mesh.dim == 2 and not _is_covered_twice(mesh, facets):
         return np.zeros(0, np.int64)
     raster = rasterize(mesh)
-    window = raster.window
-    times = _count_cells_of_pixels(raster)
-    shared = raster.sum_by_cell((times > 1).astype(np.float64), window)
-    return np.flatnonzero(shared > SHARED * np.maximum(raster.pixel_counts, 1))
+    return np.flatnonzero(raster.find_shared(raster.window) > SHARED * np.maximum(raster.pixel_counts, 1))
 
 
 def _is_covered_twice(mesh: Mesh, facets: Facets) -> bool:
-    """Whether a pixel belongs to two cells: told by the mesh's edge alone, without all pixels.
+    """Whether a pixel of an image belongs to two cells: told by the mesh's edge alone, without all pixels.
 
     As many cells hold a pixel as sides that a row enters them by lie before it, less those that it leaves them by; of
     the two sides where cells meet, one is of either kind.
@@ -191,17 +192,6 @@ def _is_covered_twice(mesh: Mesh, facets: Facets) -> bool:
     order = np.lexsort((~is_last[sides], columns, rows))
     n_cells = np.cumsum(np.where(is_last[sides[order]], -1, 1))
     return bool((n_cells > 1).any())
-
-
-def _count_cells_of_pixels(raster: Raster) -> NDArray[np.int32]:
-    """Number of cells that each pixel of the raster's window belongs to, (height, width)."""
-    window = raster.window
-    changes = np.zeros((window.height, window.width + 1), dtype=np.int32)
-    filled = raster.stops > raster.starts
-    rows = raster.rows[filled, 0] - window.y0
-    np.add.at(changes, (rows, raster.starts[filled] - window.x0), 1)
-    np.add.at(changes, (rows, raster.stops[filled] - window.x0), -1)
-    return np.asarray(np.cumsum(changes, axis=1, dtype=np.int32)[:, :-1])
 
 
 def _list_places(points: Array) -> str:

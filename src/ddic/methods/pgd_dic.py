@@ -106,7 +106,7 @@ def _evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBand
     safe = np.maximum(n, 1.0)
     # The mean of a cell's residual is brightness, not displacement.
     variance = np.where(n > 0, np.maximum(rr / safe - (r / safe) ** 2, 0.0), np.nan)
-    residuals = CellResiduals(0, n, variance, slopes / safe)
+    residuals = CellResiduals(2, 0, n, variance, slopes / safe)
     errors = find_cell_errors(team, [residuals] if team.is_root else [])
     notes, _ = describe_doubtful_cells(team, errors)
     rms = np.where(n > 0, np.sqrt(np.maximum(rr / safe, 0.0)), np.nan)
@@ -418,6 +418,6 @@ def _describe_rectangle(case: Case, reference: ImageSource, rectangle: Rectangle
         n_controlled_dofs=2 * n_controlled,
         output=case.output.file,
         discontinuities=None,
-        half_amplitudes=describe_cut_off(section),
+        half_amplitudes=describe_cut_off(section, 2),
         most_ranks=N_BANDS,
     )

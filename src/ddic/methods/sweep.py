@@ -6,7 +6,7 @@ A candidate is one element size and one cut-off wavelength: prepared, and measur
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,8 +25,8 @@ from ddic.functionals.regularization import Material
 from ddic.functionals.texture import measure_gap
 from ddic.images.binned import ArraySource
 from ddic.images.rigid import fill_absent
-from ddic.images.spline import read_gradient
-from ddic.images.sub_image import MaskedSource
+from ddic.images.sub_image import MaskedSource, read_reference
+from ddic.images.volume import find_slopes
 from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.io.result_reader import Result
@@ -95,9 +95,9 @@ def list_element_sizes(case: Case) -> list[float | None]:
     if case.mesh.structured is None:
         return [None]
     own = case.mesh.structured.element_size
-    x0, y0, x1, y1 = case.mesh.structured.box
+    low, high = np.reshape(case.mesh.structured.box, (2, -1))
     sizes = [_round(own * factor) for factor in ELEMENT_FACTORS]
-    return [own, *(size for size in sizes if size != own and size <= min(x1 - x0, y1 - y0))]
+    return [own, *(size for size in sizes if size != own and size <= (high - low).min())]
 
 
 def list_wavelengths(case: Case, typical_size: float) -> list[float]:
@@ -234,7 +234,7 @@ class VirtualTruth:
     ----------
     mesh : Mesh
         On which it was measured, pixels.
-    displacement : (n_nodes, 2) array
+    displacement : (n_nodes, dim) array
         Of its nodes, pixels; nan where nothing was measured.
     """
 
@@ -242,18 +242,18 @@ class VirtualTruth:
     displacement: Array
 
     def at(self, points: Array) -> Array:
-        """Interpolate it at points, (n, 2), pixels; nan where there is none."""
-        found = interpolate(self.mesh, self._columns, points)
-        gradient = found[:, 2:].reshape(-1, 2, 2)
-        return np.asarray(found[:, :2] + 0.5 * np.einsum("ncj,nj->nc", gradient, points))
+        """Interpolate it at points, (n, dim), pixels; nan where there is none."""
+        found, dim = interpolate(self.mesh, self._columns, points), self.mesh.dim
+        gradient = found[:, dim:].reshape(-1, dim, dim)
+        return np.asarray(found[:, :dim] + 0.5 * np.einsum("ncj,nj->nc", gradient, points))
 
     @cached_property
     def _columns(self) -> Array:
-        """u_i - G_i x_i / 2 and G_i of the nodes, (n_nodes, 6)."""
+        """u_i - G_i x_i / 2 and G_i of the nodes, (n_nodes, dim + dim^2)."""
         (gradient,) = recover_gradients([self.mesh], [self.displacement.ravel()], list)
         gradient = np.where(np.isfinite(gradient), gradient, 0.0)
         linear = 0.5 * np.einsum("ncj,nj->nc", gradient, self.mesh.nodes)
-        return np.column_stack([self.displacement - linear, gradient.reshape(-1, 4)])
+        return np.column_stack([self.displacement - linear, gradient.reshape(len(gradient), -1)])
 
     def with_lost_detail(self, again: Result) -> VirtualTruth:
         """Add what measuring it once more takes off: 2 u - S u.
@@ -267,12 +267,12 @@ class VirtualTruth:
         return VirtualTruth(self.mesh, np.where(np.isfinite(rougher), rougher, self.displacement))
 
     def render(self, grey: Array, noise: float) -> NDArray[np.float32]:
-        """Render the deformed image of ``grey``, (height, width), with noise of a standard deviation; grey levels."""
-        height, width = grey.shape
-        y, x = np.mgrid[0:height, 0:width]
-        pixels = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
-        displacement = fill_absent(self.at(pixels).reshape(height, width, 2))
-        image = render_virtual_image(grey, displacement)
+        """Render the deformed image of ``grey``, a whole image, with noise of a standard deviation; grey levels."""
+        displacement = np.empty((*grey.shape, grey.ndim))
+        for rows in _split_rows(grey.shape):
+            points = _list_points(rows, *map(range, grey.shape[1:]))
+            displacement[rows.start:rows.stop] = self.at(points.reshape(grey.ndim, -1).T).reshape(*points.shape[1:], -1)
+        image = render_virtual_image(grey, fill_absent(displacement))
         random = np.random.default_rng(0)
         image += np.float32(noise) * random.standard_normal(image.shape, dtype=np.float32)
         return image
@@ -287,23 +287,31 @@ NEAR_PX = 1e-5
 MOST_STEPS = 50
 """Steps after which a point stays where it is: at the sides of a crack that closes none fits."""
 
-_ROWS = 256
-"""Rows that are made at once; a larger value takes more memory."""
+_ROWS = {2: 256, 3: 4}
+"""Rows of an image, or planes of a volume, that are made at once; a larger value takes more memory."""
+
+
+def _split_rows(shape: Sequence[int]) -> Iterator[range]:
+    rows = range(shape[0])
+    return (rows[first:first + _ROWS[len(shape)]] for first in range(0, len(rows), _ROWS[len(shape)]))
+
+
+def _list_points(*along: range) -> Array:
+    """Pixel centres at some rows and columns, x first, (dim, rows, ...), pixels."""
+    return np.stack(np.meshgrid(*along, indexing="ij")[::-1]).astype(np.float64, copy=False)
 
 
 def render_virtual_image(grey: Array, displacement: Array) -> NDArray[np.float32]:
     """Render g(y) = f(x) with x + u(x) = y, f interpolated by a quintic spline.
 
-    ``displacement`` is u at pixel centres, (height, width, 2), pixels, finite. Noise of f moves with the specimen and
+    ``displacement`` is u at pixel centres, (..., dim), pixels, finite. Noise of f moves with the specimen and
     is texture here; interpolation smooths it. What f does not show is its mirror image.
     """
     coefficients = ndimage.spline_filter(grey, DEGREE, mode="mirror")
     affine = _fit_affine(displacement)
     bands = []
-    for first in range(0, grey.shape[0], _ROWS):
-        rows = np.arange(first, min(first + _ROWS, grey.shape[0]))
-        y, x = np.meshgrid(rows, np.arange(grey.shape[1]), indexing="ij")
-        origins = _find_origins(displacement, affine, np.stack([x, y]).astype(np.float64))
+    for rows in _split_rows(grey.shape):
+        origins = _find_origins(displacement, affine, _list_points(rows, *map(range, grey.shape[1:])))
         bands.append(ndimage.map_coordinates(coefficients, origins[::-1], order=DEGREE, prefilter=False,
                                              mode="mirror").astype(np.float32))
     return np.concatenate(bands)
@@ -311,24 +319,25 @@ def render_virtual_image(grey: Array, displacement: Array) -> NDArray[np.float32
 
 def _fit_affine(displacement: Array) -> tuple[Array, Array]:
     """F and t of x + u(x) = F x + t + small, by least squares over a few thousand pixels."""
-    height, width, _ = displacement.shape
-    y, x = np.mgrid[0:height:max(1, height // 64), 0:width:max(1, width // 64)]
-    columns = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
-    fitted = np.linalg.lstsq(columns, displacement[y.ravel(), x.ravel()], rcond=None)[0]
-    return np.eye(2) + fitted[:2].T, fitted[2]
+    *sizes, dim = displacement.shape
+    along = [range(0, size, max(1, size // round(4096 ** (1 / dim)))) for size in sizes]
+    points = _list_points(*along)
+    columns = np.column_stack([*points.reshape(dim, -1), np.ones(points[0].size)])
+    fitted = np.linalg.lstsq(columns, displacement[np.ix_(*along)].reshape(-1, dim), rcond=None)[0]
+    return np.eye(dim) + fitted[:dim].T, fitted[dim]
 
 
 def _find_origins(displacement: Array, affine: tuple[Array, Array], points: Array) -> Array:
-    """The x of points y, both (2, rows, columns): x <- F^-1 (y - t - what is left of u at x)."""
+    """The x of points y, both (dim, rows, ...): x <- F^-1 (y - t - what is left of u at x)."""
     gradient, offset = affine
-    inverse = np.linalg.inv(gradient)
-    shift = offset[:, None, None]
-    x = np.einsum("ij,jrc->irc", inverse, points - shift)
+    inverse, dim = np.linalg.inv(gradient), len(offset)
+    shift = offset.reshape(-1, *[1] * dim)
+    x = np.einsum("ij,j...->i...", inverse, points - shift)
     for _ in range(MOST_STEPS):
         u = np.stack([ndimage.map_coordinates(displacement[..., axis], x[::-1], order=1, mode="nearest")
-                      for axis in range(2)])
+                      for axis in range(dim)])
         # Without its affine part, so that turned and stretched images need no more steps than others.
-        change = np.einsum("ij,jrc->irc", inverse, points - x - u)
+        change = np.einsum("ij,j...->i...", inverse, points - x - u)
         x = x + change
         if np.abs(change).max() <= NEAR_PX:
             break
@@ -353,7 +362,7 @@ def measure_candidates(team: Team, varied: Sequence[tuple[Candidate, Inputs]], f
     inputs = varied[0][1]
     reference, degree = inputs.cameras[0].reference, inputs.case.correlation.spline_degree
     section = inputs.case.regularization
-    material = Material() if section is None else build_material(section)
+    material = Material.default(inputs.case.dim) if section is None else build_material(section, inputs.case.dim)
     stays_open = reference.extent.n_pixels * len(varied) <= KEPT_PIXELS
     with ExitStack() as stack:
         sessions = [stack.enter_context(closing(_CandidateSession(team, candidate, inputs, stays_open=stays_open)))
@@ -398,18 +407,21 @@ def _measure_pair(sessions: Sequence[_CandidateSession], frame: Frame,
 
 def _find_noise_transfer(trials: Sequence[Trial], degree: int) -> float:
     """What interpolation leaves of the deformed image's noise, 0 to 1, where the first trial measured it has moved."""
-    measured = next(trial for trial in trials if not trial.failure)
-    is_known = np.isfinite(measured.displacement).all(axis=1)
+    moved = next(trial for trial in trials if not trial.failure).displacement
+    moved = moved[np.isfinite(moved).all(axis=1)]
     # As much along x as along y.
-    return float(build_white_transfer(degree).find(measured.displacement[is_known])[:, 0].mean())
+    return float(build_white_transfer(degree, moved.shape[1]).find(moved)[:, 0].mean())
 
 
 def _measure_gradient(reference: MaskedSource, points: Array, degree: int) -> float:
-    """Mean square of the reference image's gradient at the pixels next to points, (n, 2), both components together."""
-    gradient = read_gradient(reference.image, reference.extent, degree)
-    columns, rows = np.rint(points).astype(np.int64).T
-    squares = (gradient.slopes[:, rows, columns] ** 2).sum(axis=0)
-    return float(squares.mean(dtype=np.float64))
+    """Mean square of the reference image's gradient at the pixels next to points, (n, dim), all components together."""
+    pixels, squares = np.rint(points).astype(np.int64), np.zeros(len(points))
+    for band in reference.extent.split_rows(_ROWS[points.shape[1]] * 16):
+        inside = (pixels[:, -1] >= band.lower[-1]) & (pixels[:, -1] < band.upper[-1])
+        image = read_reference(MaskedSource(reference.image), band, degree)
+        at_pixels = image.window.index(pixels[inside])
+        squares[inside] = np.sum([slope[at_pixels] ** 2 for slope in find_slopes(image)], axis=0)
+    return float(squares.mean())
 
 
 def _render(team: Team, reference: MaskedSource, truth: VirtualTruth, noise: float) -> Frame:

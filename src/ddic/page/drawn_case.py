@@ -20,10 +20,11 @@ from ddic.check.pattern import Pattern, choose_region, find_pattern
 from ddic.check.starter import write_starter_case
 from ddic.errors import InputError
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_plain_grid, is_plain_grid
-from ddic.io.image_file import hold_image, read_mask
+from ddic.io.image_file import hold_image
 from ddic.io.input_file import find_real_path
 from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 from ddic.io.text_files import read_text
+from ddic.io.volume_file import read_mask
 from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import count_cells

@@ -17,7 +17,7 @@ from ddic.mesh.interpolation import CellSearch, interpolate_located, locate
 from ddic.mesh.mesh import Mesh
 from ddic.page.layers import Overlay
 from ddic.plots import canvas, maps
-from ddic.plots.kinds import NUMBERS
+from ddic.plots.kinds import NUMBERS, OF_VOLUMES
 from ddic.probes.probes import PointProbe
 from ddic.probes.tables import format_number, measure_probes
 
@@ -64,9 +64,9 @@ AXES: tuple[canvas.Component, ...] = ("magnitude", "x", "y")
 
 FIELDS = (
     *(FieldChoice("displacement", component) for component in AXES),
-    *(FieldChoice("strain", number=number) for number in NUMBERS),
+    *(FieldChoice("strain", number=number) for number in NUMBERS if number not in OF_VOLUMES),
     *(FieldChoice("sigma", component) for component in AXES[1:]),
-    *(FieldChoice("sigma", number=number) for number in maps.PANELS),
+    *(FieldChoice("sigma", number=number) for number in schema.list_components(2)),
     *(FieldChoice("bias", component) for component in AXES),
     FieldChoice("residual"),
 )

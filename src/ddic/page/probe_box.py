@@ -126,8 +126,7 @@ def make_outline(probe: Probe) -> Array:
         return np.array([probe.point])
     if not isinstance(probe, StrainGauge):
         return np.array([probe.start, probe.end])
-    along = 0.5 * probe.length * probe.direction
-    across = 0.5 * probe.across * np.array([-probe.direction[1], probe.direction[0]])
+    along, across = 0.5 * probe.length * probe.axes[0], 0.5 * probe.across * probe.axes[1]
     corners = [along + across, along - across, -along - across, across - along, along + across]
     return np.asarray(probe.centre + np.array(corners))
 

@@ -1,4 +1,4 @@
-"""What the figures share: axes in image coordinates, colours of nodes and cells, colour bars, saving.
+"""What the figures share: axes in image coordinates, the image below, colours of nodes and cells, bars, saving.
 
 Titles are broken so that they fit. Colours begin and end at percentiles of the values, which the colour bar says: a few
 bad cells do not hide a field. Lengths are in pixels, or in the case's length unit where a pixel's is known. Pages grow
@@ -21,9 +21,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection, TriMesh
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
 
 from ddic.arrays import Array
 from ddic.errors import InputError
@@ -96,7 +98,7 @@ def find_length_unit(result: Result, asked: str | None = None) -> LengthUnit:
     return LengthUnit(float(units["pixel_size"]), str(units["length_unit"]))
 
 
-Component = Literal["x", "y", "magnitude"]
+Component = Literal["x", "y", "z", "magnitude"]
 COLOURS = "viridis"
 
 DPI = 150
@@ -211,17 +213,17 @@ def make_image_figure(bounds: Bounds, title: str, unit: LengthUnit = PIXELS, *,
 
 
 def make_panels(boxes: Sequence[Bounds], titles: Sequence[str], unit: LengthUnit = PIXELS, *,
-                beside: float = RIGHT_INCHES) -> tuple[Figure, list[Axes]]:
+                beside: float = RIGHT_INCHES, panel_inches: float = PANEL_INCHES) -> tuple[Figure, list[Axes]]:
     """Make a figure of several panels of one size, each as ``make_image_figure`` makes its one.
 
-    The first of ``boxes``, in the unit, tells the size of all. Panels stand side by side, or above one another where
-    they are wide.
+    The first of ``boxes``, in the unit, tells the size of all. Panels stand side by side, each at most
+    ``panel_inches`` wide, or above one another where they are wide.
     """
     x0, y0, x1, y1 = boxes[0]
     ratio = (y1 - y0) / max(x1 - x0, 1e-300)
     n_columns = 1 if ratio < WIDE else min(len(boxes), MOST_COLUMNS)
     n_rows = math.ceil(len(boxes) / n_columns)
-    widest = (WIDTH_INCHES if n_columns == 1 else PANEL_INCHES) - LEFT_INCHES - beside
+    widest = (WIDTH_INCHES if n_columns == 1 else panel_inches) - LEFT_INCHES - beside
     height = min(widest * ratio, TALLEST_INCHES / n_rows)
     width = height / ratio
     panel_width = max(width + LEFT_INCHES + beside, NARROWEST_INCHES)
@@ -238,15 +240,15 @@ def make_panels(boxes: Sequence[Bounds], titles: Sequence[str], unit: LengthUnit
         row, column = divmod(k, n_columns)
         corner = np.array([column * panel_width + left, (n_rows - 1 - row) * panel_height + below])
         axes = figure.add_axes((*(corner / page), width / page[0], height / page[1]))
-        _set_up_axes(axes, box, unit, (width, height))
+        set_up_axes(axes, box, unit, (width, height))
         # In the middle of the panel, not of the axes, which have more on their right than on their left.
         axes.set_title(title, fontsize=TITLE_POINTS, x=(0.5 * panel_width - left) / width)
         panels.append(axes)
     return figure, panels
 
 
-def _set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: tuple[float, float]) -> None:
-    """Limits, labels and as many numbers as there is room for; size: width and height of the axes, inches."""
+def set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: Sequence[float]) -> None:
+    """Set limits, labels and as many numbers as there is room for; ``size``: width and height of the axes, inches."""
     set_bounds(axes, bounds)
     axes.set_aspect("equal")
     axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]")
@@ -269,6 +271,59 @@ def find_mesh_bounds(nodes: Array, margin: float = 0.03) -> Bounds:
     x0, y0 = low - gap
     x1, y1 = high + gap
     return float(x0), float(y0), float(x1), float(y1)
+
+
+LARGEST_SIDE = 2000
+"""Pixels of an image that a figure shows along each axis at most."""
+
+OVER_ALL = 2.5
+"""Above matplotlib's patches and lines, below its texts."""
+
+
+@dataclass(frozen=True)
+class Preview:
+    """An image with every ``step``-th pixel.
+
+    Attributes
+    ----------
+    pixels : (rows, columns) array
+        Grey levels.
+    step : int
+        Pixels from one to the next.
+    width, height : int
+        Of the whole image, pixels.
+    """
+
+    pixels: NDArray[Any]
+    step: int
+    width: int
+    height: int
+
+    def draw(self, axes: Axes, size: float = 1.0, opacity: float = 1.0) -> None:
+        """Draw in grey; below an ``opacity`` of 1 over everything that is there."""
+        self.show(axes, size, cmap="gray", zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity)
+
+    def show(self, axes: Axes, size: float, **style: Any) -> AxesImage:
+        """Show the pixels, ``size`` in the axes' unit, their centres at integers, in a style of ``imshow``."""
+        n_rows, n_columns = self.pixels.shape
+        left = top = -0.5 * self.step * size
+        right, bottom = (n_columns - 0.5) * self.step * size, (n_rows - 0.5) * self.step * size
+        return axes.imshow(self.pixels, interpolation="nearest", rasterized=True, extent=(left, right, bottom, top),
+                           **style)
+
+    def measure_grey(self) -> float:
+        """Measure the mean grey as it is shown, from 0, black, to 1."""
+        darkest, brightest = float(self.pixels.min()), float(self.pixels.max())
+        return (float(self.pixels.mean()) - darkest) / ((brightest - darkest) or 1.0)
+
+    def clip(self, bounds: Bounds, size: float = 1.0) -> Bounds:
+        """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
+
+        The box is x0, y0, x1, y1 in the axes' unit, ``size`` a pixel's in that unit.
+        """
+        x0, y0, x1, y1 = bounds
+        return (max(x0, -0.5 * size), max(y0, -0.5 * size), min(x1, (self.width - 0.5) * size),
+                min(y1, (self.height - 0.5) * size))
 
 
 def add_colour_bar(figure: Figure, axes: Axes, mappable: Any, label: str, shown_as: Colormap | None = None) -> None:
@@ -339,10 +394,10 @@ def make_triangulation(mesh: Mesh, nodes: Array) -> Triangulation:
 
 
 def pick_component(vectors: Array, component: Component) -> Array:
-    """Pick one component of vectors (n, 2), or their length, (n,)."""
+    """Pick one component of vectors (n, dim), or their length, (n,)."""
     if component == "magnitude":
-        return np.asarray(np.hypot(vectors[:, 0], vectors[:, 1]))
-    return vectors[:, "xy".index(component)]
+        return np.asarray(np.hypot.reduce(vectors, axis=1))
+    return vectors[:, schema.AXES.index(component)]
 
 
 def format_component(symbol: str, component: Component) -> str:

@@ -7,7 +7,7 @@ displacement and strain along a line, with a band of what noise leaves in them; 
 element sizes; how residuals and grey levels are distributed.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -24,6 +24,7 @@ from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.fracture.opening import Opening, get_lines
 from ddic.io import result_schema as schema
+from ddic.io.image_chunks import CHUNK_SIDES
 from ddic.io.result_reader import Result
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.plane import build_tree
@@ -232,43 +233,46 @@ N_POINTS = 400
 BAND = 2.0
 """Standard deviations on either side: 95 % of normal errors."""
 
-LINE_COLOURS = ("tab:blue", "tab:orange", "tab:green")
+LINE_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
 
 
 def draw_line(result: Result, ends: Sequence[float], unit: LengthUnit = PIXELS) -> Figure:
     """Draw the displacement and the strain at nodes along a straight line, with bands of two standard deviations.
 
     Those of the displacement count the bias of the regularization, 2 sqrt(sigma^2 + bias^2). There are no bands where
-    the result has no standard deviations, and gaps where nothing was measured. ``ends`` are x and y where the line
-    begins and where it ends, pixels of the reference image. Raises InputError where the line misses the mesh.
+    the result has no standard deviations, and gaps where nothing was measured. ``ends`` are the coordinates
+    of the point where the line begins and of that where it ends, pixels of the reference image. Raises InputError where
+    the line misses the mesh.
     """
-    begin, end = np.array(ends[:2], dtype=float), np.array(ends[2:], dtype=float)
+    dim = result.mesh.dim
+    begin, end = np.array(ends, dtype=float).reshape(2, dim)
     share = np.linspace(0.0, 1.0, N_POINTS)[:, None]
     points = begin + share * (end - begin)
     distance = unit.size * share[:, 0] * float(np.linalg.norm(end - begin))
     displacement = unit.size * result.at(points)
     if not np.isfinite(displacement).any():
         given = " ".join(f"{value:g}" for value in ends)
-        raise InputError(f"--line {given}: no point of it lies in the measured mesh; give x and y of its ends in "
-                         "pixels of the reference image")
+        axes, unit_of_ends = ("x and y", "pixels") if dim == 2 else ("x, y and z", "voxels")
+        raise InputError(f"--line {given}: no point of it lies in the measured mesh; give {axes} of its ends in "
+                         f"{unit_of_ends} of the reference image")
     has_strain = schema.NODAL_INFINITESIMAL in result.point_data
     figure = Figure(figsize=(7.0, 6.5 if has_strain else 3.8), layout="tight")
     above = figure.add_subplot(2 if has_strain else 1, 1, 1)
-    deviations = _read_along(result, schema.SIGMA_DISPLACEMENT, points)
+    deviations = _read_along(result, schema.SIGMA_DISPLACEMENT[:dim], points)
     title = "Along the line" if deviations is None else f"Along the line, with {BAND:g} standard deviations"
     if deviations is not None and schema.REGULARIZATION_BIAS in result.point_data:
-        bias = interpolate(result.mesh, result.point_data[schema.REGULARIZATION_BIAS][:, :2], points)
+        bias = interpolate(result.mesh, result.fields[schema.REGULARIZATION_BIAS], points)
         deviations = np.hypot(deviations, bias)
         title += ", of $u$ of noise and bias"
     _draw_bands(above, distance, displacement,
-                None if deviations is None else unit.size * deviations, ("$u_x$", "$u_y$"))
+                None if deviations is None else unit.size * deviations, [f"$u_{axis}$" for axis in schema.AXES[:dim]])
     above.set(ylabel=f"displacement [{unit.name}]", title=title)
     if has_strain:
-        strain = schema.pick_in_the_plane(result.point_data[schema.NODAL_INFINITESIMAL])
+        strain = schema.pick_components(result.point_data[schema.NODAL_INFINITESIMAL], dim)
         below = figure.add_subplot(2, 1, 2, sharex=above)
         _draw_bands(below, distance, interpolate(result.mesh, strain, points),
-                    _read_along(result, schema.SIGMA_NODAL_STRAIN, points),
-                    tuple(rf"$\epsilon_{{{name}}}$" for name in schema.IN_THE_PLANE))
+                    _read_along(result, schema.list_sigma_strains(dim), points),
+                    [rf"$\epsilon_{{{name}}}$" for name in schema.list_components(dim)])
         below.set_ylabel("infinitesimal strain")
     figure.axes[-1].set_xlabel(f"distance along the line [{unit.name}]")
     return figure
@@ -420,17 +424,25 @@ WIDEST = 6.0
 HISTOGRAM_COLOURS = ("tab:blue", "tab:orange")
 
 
-def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
-    """Draw the residual's distribution and the normal one of its standard deviation: tails above it are not noise."""
-    values = residual[np.isfinite(residual)].astype(np.float64)
-    std = float(values.std()) if values.size else 1.0
+def draw_residual_histogram(result: Result) -> Figure:
+    """Draw the distribution of the residual image and the normal one of its standard deviation: tails are not noise.
+
+    Of a volume, which is looked at twice, a few planes are in memory.
+    """
+    # Number, mean and variance of each piece: what all are comes of that of their means.
+    pieces = [(len(values), values.mean(), values.var()) for values in _read_pieces(result)]
+    counted, means, variances = np.array(pieces or [(1, 0.0, 1.0)]).T
+    mean = np.average(means, weights=counted)
+    std = float(np.sqrt(np.average(variances + (means - mean)**2, weights=counted)))
     # Of a residual of one value, such as 0, the curve is that of any deviation.
     std = std or 1.0
     edge = WIDEST * std
     figure, axes = _make_figure(5.0, 3.4)
-    counts, edges = np.histogram(values, bins=N_BINS, range=(-edge, edge))
-    density = counts / max(values.size, 1) / np.diff(edges)
-    axes.stairs(density, edges, fill=True, color="tab:blue", alpha=0.6, label="residual")
+    counts, edges = np.histogram([], N_BINS, (-edge, edge))
+    for values in _read_pieces(result):
+        counts += np.histogram(values, N_BINS, (-edge, edge))[0]
+    axes.stairs(counts / counted.sum() / np.diff(edges), edges, fill=True, color="tab:blue", alpha=0.6,
+                label="residual")
     x = np.linspace(-edge, edge, 400)
     normal = np.exp(-0.5 * (x / std)**2) / (std * np.sqrt(2.0 * np.pi))
     axes.plot(x, normal, color="black", linewidth=1.2, label="normal, same deviation")
@@ -439,6 +451,19 @@ def draw_residual_histogram(residual: NDArray[np.float32]) -> Figure:
     axes.set(xlabel="$f(x) - g(x + u)$ [grey levels]", ylabel="density [1 / grey level]")
     axes.legend(fontsize="small", loc="lower center")
     return figure
+
+
+def _read_pieces(result: Result) -> Iterator[Array]:
+    """The values of a residual image that was written, a plane of a volume at a time."""
+    extent = result.residual_extent
+    assert extent is not None
+    thickness = CHUNK_SIDES[3] if result.mesh.dim == 3 else extent.height
+    for band in extent.split_rows(thickness):
+        read = result.read_residual(band)
+        for piece in read if result.mesh.dim == 3 else [read]:
+            values = piece[np.isfinite(piece)].astype(np.float64)
+            if values.size:
+                yield values
 
 
 def draw_grey_histogram(images: Mapping[str, NDArray[Any]]) -> Figure:

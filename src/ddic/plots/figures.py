@@ -14,13 +14,23 @@ from matplotlib.figure import Figure
 from ddic.errors import InputError, refuse_unknown_arguments
 from ddic.fracture.opening import get_lines, measure_openings
 from ddic.io import result_schema as schema
-from ddic.io.image_file import open_image
+from ddic.io.input_file import split_dataset
 from ddic.io.result_reader import Result
+from ddic.io.volume_file import hold_source
 from ddic.plots import canvas, maps
 from ddic.plots.canvas import ColourScale
-from ddic.plots.curves import draw_corrections, draw_detection, draw_krylov, draw_line, draw_modes, draw_opening
-from ddic.plots.kinds import KINDS, NUMBERS, OVER_IMAGE
+from ddic.plots.curves import (
+    draw_corrections,
+    draw_detection,
+    draw_krylov,
+    draw_line,
+    draw_modes,
+    draw_opening,
+    draw_residual_histogram,
+)
+from ddic.plots.kinds import KINDS, NUMBERS, OF_VOLUMES, OVER_IMAGE
 from ddic.plots.partition import draw_partition
+from ddic.plots.slices import Below, Slices
 
 OF_BOTH = ("difference", "krylov")
 """Kinds that show a second result too, where there is one."""
@@ -32,7 +42,7 @@ class Look:
 
     Attributes
     ----------
-    component : {"x", "y", "magnitude"}
+    component : {"x", "y", "z", "magnitude"}
         Of the displacement.
     strain : StrainChoice
         Of the strain.
@@ -46,6 +56,8 @@ class Look:
         In the place of what the picture says of itself; none where it is empty.
     scale_bar : float or None
         Length of a scale bar, in the unit; 0 for a round one, None for no bar.
+    slices : tuple of (str, float)
+        Axis and place, voxels, of each slice of a volume; empty for three through the middle of the mesh.
     """
 
     component: canvas.Component = "magnitude"
@@ -55,6 +67,7 @@ class Look:
     scale: ColourScale = canvas.OF_VALUES
     title: str | None = None
     scale_bar: float | None = None
+    slices: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,17 +96,22 @@ class Drawing:
         What is shown, and a second one that it is compared with, or None.
     look : Look
         How.
-    preview : Preview or None
-        Of the reference image, below it.
-    line : four float, or None
-        Ends of the line along which a curve is drawn, pixels.
+    preview : Preview, tuple of Slice, or None
+        Of the reference image, below it; of a volume its slices.
+    line : tuple of float
+        Ends of the line along which a curve is drawn, pixels: coordinates of the first, then of the second.
     """
 
     result: Result
     other: Result | None
     look: Look
-    preview: maps.Preview | None = None
-    line: tuple[float, float, float, float] | None = None
+    preview: Below = None
+    line: tuple[float, ...] = ()
+
+    @property
+    def slices(self) -> Slices | None:
+        """Those of a volume."""
+        return self.preview if isinstance(self.preview, tuple) else None
 
     @cached_property
     def compared(self) -> maps.ComparedFields:
@@ -103,31 +121,44 @@ class Drawing:
 
 def find_lacking(result: Result, other: Result | None) -> dict[str, str]:
     """Find what cannot be drawn of a result, and of a second one to compare it with: the reason by kind."""
-    lacking = {}
-    if other is None:
-        lacking["difference"] = "--kind difference compares two results; give the second by --other"
-    if not _has_curves(result):
-        lacking["krylov"] = "holds no Krylov history (a direct method); choose another --kind"
-    if not get_lines(result):
-        lacking["opening"] = "was measured without discontinuities; choose another --kind"
-    if schema.SIGMA_DISPLACEMENT[0] not in result.point_data:
-        lacking["sigma"] = "holds no standard deviations; measure with output.uncertainty = true"
-    if schema.REGULARIZATION_BIAS not in result.point_data:
-        lacking["bias"] = ("holds no bias of a regularization; measure with one and with output.uncertainty = true")
-    if schema.INDEPENDENT not in result.point_data:
-        lacking["independent"] = ("holds no fields of subdomains by themselves; measure with output.independent_fields "
-                                  "= true and solver.method = \"dual\"")
-    elif result.path == Path():
-        lacking["independent"] = "keeps one of the fields at shared nodes; open the file that the measurement wrote"
-    if not result.detection:
-        lacking["detection"] = 'no line was looked for (discontinuity = "detect"); choose another --kind'
-    if schema.CAMERA not in result.cell_data:
-        lacking["near-far"] = "is of one camera (a case without [[near]]); choose another --kind"
-    if result.separated is None:
-        lacking["modes"] = lacking["corrections"] = "was not measured by PGD-DIC ([pgd]); choose another --kind"
-    elif not len(result.corrections.get("correction", ())):
-        lacking["corrections"] = "took no correction; choose another --kind"
-    return lacking
+    points, has_products = result.point_data, result.separated is not None
+    reasons = (
+        (other is None, "difference", "--kind difference compares two results; give the second by --other"),
+        (other is not None and other.mesh.dim != result.mesh.dim, "difference",
+         "one result is of images, the other of volumes; give another --other"),
+        (not _has_curves(result), "krylov", "holds no Krylov history (a direct method); choose another --kind"),
+        (not get_lines(result), "opening", "was measured without discontinuities; choose another --kind"),
+        (schema.SIGMA_DISPLACEMENT[0] not in points, "sigma",
+         "holds no standard deviations; measure with output.uncertainty = true"),
+        (schema.REGULARIZATION_BIAS not in points, "bias",
+         "holds no bias of a regularization; measure with one and with output.uncertainty = true"),
+        (result.residual_extent is None, "histogram",
+         "holds no residual image; measure with output.residual_image = true"),
+        (result.path == Path(), "independent",
+         "keeps one of the fields at shared nodes; open the file that the measurement wrote"),
+        (schema.INDEPENDENT not in points, "independent",
+         "holds no fields of subdomains by themselves; measure with output.independent_fields = true and "
+         "solver.method = \"dual\""),
+        (not result.detection, "detection", 'no line was looked for (discontinuity = "detect"); choose another --kind'),
+        (schema.CAMERA not in result.cell_data, "near-far",
+         "is of one camera (a case without [[near]]); choose another --kind"),
+        (not has_products, "modes", "was not measured by PGD-DIC ([pgd]); choose another --kind"),
+        (has_products and not len(result.corrections.get("correction", ())), "corrections",
+         "took no correction; choose another --kind"),
+        (not has_products, "corrections", "was not measured by PGD-DIC ([pgd]); choose another --kind"),
+        *((result.mesh.dim == 3, kind, "is of volumes, whose deformed mesh ParaView shows (Warp By Vector); choose "
+                                       "another --kind") for kind in ("deformed", "independent")),
+    )
+    # Of several reasons the last one.
+    return {kind: reason for is_lacking, kind, reason in reasons if is_lacking}
+
+
+def require_known(result: Result, look: Look) -> None:
+    """Raise InputError where a plane result is asked for what only one of volumes has."""
+    asked = [name for name in (look.component, look.strain.number) if name in OF_VOLUMES]
+    asked += [f"slice {axis}={place:g}" for axis, place in look.slices]
+    if asked and result.mesh.dim == 2:
+        raise InputError(f"{result.path}: is of images and has no {asked[0]}, which is of volumes; leave it out")
 
 
 def _has_curves(result: Result) -> bool:
@@ -138,7 +169,7 @@ def _has_curves(result: Result) -> bool:
 def find_image(result: Result, which: str = "reference") -> Path | None:
     """Find the reference or the deformed image that a result names; None where it names none, or it is gone."""
     named = str(result.attributes.get(schema.PROVENANCE, {}).get(f"{which}_path", ""))
-    return Path(named) if named and Path(named).is_file() else None
+    return Path(named) if named and split_dataset(Path(named))[0].exists() else None
 
 
 def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figure:
@@ -148,7 +179,7 @@ def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figu
     if look.scale_bar is not None:
         for axes in figure.axes:
             # The axes of an image, not those of curves.
-            if axes.yaxis_inverted():
+            if axes.yaxis_inverted() and axes.axison:
                 canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
     if look.title is not None:
         canvas.set_titles(figure, look.title)
@@ -175,13 +206,15 @@ def _draw_kind(kind: str, drawing: Drawing, shared: SharedScale | None) -> Figur
         "strain": lambda: maps.draw_strain(result, look.strain, preview, unit, scales),
         "sigma": lambda: draw_panels(maps.list_sigma_panels(result, component, look.strain.number, unit)),
         "bias": lambda: draw_panels(maps.list_bias_panels(result, component, unit)),
-        "residual": lambda: maps.draw_residual(result, unit=unit, scale=scale),
-        "signed-residual": lambda: maps.draw_residual(result, signed=True, unit=unit, scale=scale),
-        "difference": lambda: maps.draw_difference(drawing.compared, component, unit, scale),
+        "residual": lambda: maps.draw_residual(result, unit=unit, scale=scale, slices=drawing.slices),
+        "signed-residual": lambda: maps.draw_residual(result, signed=True, unit=unit, scale=scale,
+                                                      slices=drawing.slices),
+        "histogram": lambda: draw_residual_histogram(result),
+        "difference": lambda: maps.draw_difference(drawing.compared, component, unit, scale, drawing.slices),
         "krylov": lambda: _draw_krylov(result, drawing.other),
         "opening": lambda: _draw_opening(result, unit),
         "near-far": lambda: maps.draw_near_far(result, component, unit, scale),
-        "line": lambda: draw_line(result, drawing.line or (0.0, 0.0, 0.0, 0.0), unit),
+        "line": lambda: draw_line(result, drawing.line, unit),
         "corrections": lambda: draw_corrections(result.corrections),
     }
     if result.separated is not None:
@@ -189,12 +222,12 @@ def _draw_kind(kind: str, drawing: Drawing, shared: SharedScale | None) -> Figur
     return by_kind[kind]()
 
 
-def find_limits(result: Result, kind: str, look: Look) -> Sequence[canvas.Limits]:
+def find_limits(result: Result, kind: str, look: Look, slices: Slices | None) -> Sequence[canvas.Limits]:
     """Find where the colours of a result by itself begin and end, a panel each, for a kind that can be animated."""
     if kind == "strain":
         return [look.scale.find_limits(panel.values) for panel in maps.list_strain_panels(result, look.strain)]
     if kind in ("residual", "signed-residual"):
-        return [maps.find_residual_limits(result, signed=kind == "signed-residual")]
+        return [maps.find_residual_limits(result, signed=kind == "signed-residual", slices=slices)]
     displacement = result.displacement
     if kind == "deformed" and look.amplification is None:
         displacement = maps.remove_rigid_motion(result)
@@ -244,8 +277,9 @@ def draw_result(result: Result, kind: str, *, component: canvas.Component = "mag
     lacking = find_lacking(result, None)
     if kind in lacking:
         raise InputError(f"{result.path}: {lacking[kind]}")
-    reference = find_image(result) if kind in OVER_IMAGE else None
-    preview = None if reference is None else maps.read_preview(open_image(reference))
     look = Look(component, maps.StrainChoice(number=number), unit=canvas.find_length_unit(result),
                 scale=replace(canvas.OF_VALUES, limits=limits, palette=palette), title=title)
-    return draw(kind, Drawing(result, None, look, preview))
+    require_known(result, look)
+    reference = find_image(result) if kind in OVER_IMAGE else None
+    source = None if reference is None else hold_source(reference, result.mesh.dim)
+    return draw(kind, Drawing(result, None, look, maps.read_below(result.mesh, source)))

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap, ListedColormap
+from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray
@@ -28,7 +29,18 @@ from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
 from ddic.plots import canvas
-from ddic.plots.canvas import OF_VALUES, PIXELS, Bounds, ColourScale, Component, LengthUnit, Limits
+from ddic.plots.canvas import (
+    LARGEST_SIDE,
+    OF_VALUES,
+    PIXELS,
+    Bounds,
+    ColourScale,
+    Component,
+    LengthUnit,
+    Limits,
+    Preview,
+)
+from ddic.plots.slices import Below, Slices, choose_slices, make_views
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +67,18 @@ class ComparedFields:
 
 
 def draw_difference(compared: ComparedFields, component: Component = "magnitude", unit: LengthUnit = PIXELS,
-                    scale: ColourScale = OF_VALUES) -> Figure:
+                    scale: ColourScale = OF_VALUES, slices: Slices | None = None) -> Figure:
     """Draw a result's displacement minus another's, at its nodes; nothing where either is unmeasured."""
     mesh, nodes = compared.result.mesh, unit.size * compared.result.mesh.nodes
     difference = unit.size * compared.difference
     title = (f"{compared.result.path.name} minus {compared.other.path.name}, RMS {unit.size * compared.rms:.2e} "
              f"{unit.name}, Err {compared.err:.2e}")
-    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
     values = canvas.pick_component(difference, component)
-    colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, scale)
     label = canvas.format_component_label(r"\Delta u", component, unit)
+    if slices is not None:
+        return draw_values(mesh, [Values(title, label, values)], slices, unit, [scale])
+    figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), title, unit)
+    colours = canvas.draw_nodal_colours(axes, mesh, nodes, values, scale)
     canvas.add_colour_bar(figure, axes, colours, scale.format_label(label))
     return figure
 
@@ -90,58 +104,6 @@ def _interpolate(result: Result, points: Array) -> Array:
     return values
 
 
-LARGEST_SIDE = 2000
-
-OVER_ALL = 2.5
-"""Above matplotlib's patches and lines, below its texts."""
-
-
-@dataclass(frozen=True)
-class Preview:
-    """An image with every ``step``-th pixel.
-
-    Attributes
-    ----------
-    pixels : (rows, columns) array
-        Grey levels.
-    step : int
-        Pixels from one to the next.
-    width, height : int
-        Of the whole image, pixels.
-    """
-
-    pixels: NDArray[Any]
-    step: int
-    width: int
-    height: int
-
-    def draw(self, axes: Axes, size: float = 1.0, opacity: float = 1.0) -> None:
-        """Draw in grey; below an ``opacity`` of 1 over everything that is there."""
-        self.show(axes, size, cmap="gray", zorder=0 if opacity == 1.0 else OVER_ALL, alpha=opacity)
-
-    def show(self, axes: Axes, size: float, **style: Any) -> AxesImage:
-        """Show the pixels, ``size`` in the axes' unit, their centres at integers, in a style of ``imshow``."""
-        n_rows, n_columns = self.pixels.shape
-        left = top = -0.5 * self.step * size
-        right, bottom = (n_columns - 0.5) * self.step * size, (n_rows - 0.5) * self.step * size
-        return axes.imshow(self.pixels, interpolation="nearest", rasterized=True, extent=(left, right, bottom, top),
-                           **style)
-
-    def measure_grey(self) -> float:
-        """Measure the mean grey as it is shown, from 0, black, to 1."""
-        darkest, brightest = float(self.pixels.min()), float(self.pixels.max())
-        return (float(self.pixels.mean()) - darkest) / ((brightest - darkest) or 1.0)
-
-    def clip(self, bounds: Bounds, size: float = 1.0) -> Bounds:
-        """Find the part of a box that lies in the image, whose pixels reach half a pixel beyond their centres.
-
-        The box is x0, y0, x1, y1 in the axes' unit, ``size`` a pixel's in that unit.
-        """
-        x0, y0, x1, y1 = bounds
-        return (max(x0, -0.5 * size), max(y0, -0.5 * size), min(x1, (self.width - 0.5) * size),
-                min(y1, (self.height - 0.5) * size))
-
-
 def make_figure_over(image: Preview | None, bounds: Bounds, title: str, unit: LengthUnit = PIXELS,
                      beside: float = canvas.RIGHT_INCHES) -> tuple[Figure, Axes]:
     """Make a figure as ``make_image_figure`` does, over the image where it is given, whose edges cut the bounds."""
@@ -152,6 +114,16 @@ def make_figure_over(image: Preview | None, bounds: Bounds, title: str, unit: Le
     image.draw(axes, unit.size)
     canvas.set_bounds(axes, bounds)
     return figure, axes
+
+
+def read_below(mesh: Mesh, source: ImageSource | None, asked: Sequence[tuple[str, float]] = ()) -> Below:
+    """Read what a mesh's fields are drawn over: the image, if there is one, or slices of a volume, those asked for.
+
+    Raises InputError where a slice misses the mesh.
+    """
+    if mesh.dim == 3:
+        return choose_slices(mesh, source, asked)
+    return None if source is None else read_preview(source)
 
 
 def read_preview(source: ImageSource) -> Preview:
@@ -193,7 +165,7 @@ class Values:
     by_cell: bool = False
 
 
-def draw_displacement(result: Result, image: Preview | None = None, component: Component = "magnitude",
+def draw_displacement(result: Result, image: Below = None, component: Component = "magnitude",
                       unit: LengthUnit = PIXELS, scale: ColourScale = OF_VALUES) -> Figure:
     """Draw the displacement on the mesh at rest, over the reference image where it is given."""
     return draw_values(result.mesh, list_displacement_panels(result, component, unit), image, unit, [scale])
@@ -206,9 +178,11 @@ def list_displacement_panels(result: Result, component: Component, unit: LengthU
                    unit.size * canvas.pick_component(result.displacement, component))]
 
 
-def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit: LengthUnit,
+def draw_values(mesh: Mesh, shown: Sequence[Values], image: Below, unit: LengthUnit,
                 scales: Sequence[ColourScale]) -> Figure:
     """Draw panels of values on one mesh, over the image where it is given; ``scales`` has one for each panel."""
+    if isinstance(image, tuple):
+        return _draw_on_slices(mesh, shown, image, unit, scales)
     nodes = unit.size * mesh.nodes
     bounds = canvas.find_mesh_bounds(nodes, MARGIN)
     if image is not None:
@@ -225,6 +199,25 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Preview | None, unit
             canvas.set_bounds(axes, bounds)
             shown_as = _mix_with_grey(colours.get_cmap(), image.measure_grey())
         canvas.add_colour_bar(figure, axes, colours, scale.format_label(panel.label), shown_as)
+    return figure
+
+
+def _draw_on_slices(mesh: Mesh, shown: Sequence[Values], slices: Slices, unit: LengthUnit,
+                    scales: Sequence[ColourScale]) -> Figure:
+    """The same on slices of a volume."""
+    figure, views = make_views(slices, [panel.title for panel in shown], unit)
+    for of_panel, panel, scale in zip(views, shown, scales, strict=True):
+        grey = slices[0].grey
+        style = Normalize(*scale.find_limits(panel.values)), colormaps[scale.palette or canvas.COLOURS]
+        for axes, one in zip(of_panel.axes, slices, strict=True):
+            one.show(axes, one.sample(mesh, panel.values, by_cell=panel.by_cell), unit, norm=style[0], cmap=style[1],
+                     alpha=1.0 if grey is None else OPACITY)
+        # Of all values, not of those in one slice.
+        colours = ScalarMappable(*style)
+        colours.set_array(panel.values)
+        for host in of_panel.hosts:
+            canvas.add_colour_bar(figure, host, colours, scale.format_label(panel.label),
+                                  None if grey is None else _mix_with_grey(style[1], grey.measure_grey()))
     return figure
 
 
@@ -282,11 +275,9 @@ def find_points_inside(points: Array, box: Bounds) -> BoolArray:
 
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
-PANELS = ("xx", "yy", "xy")
-"""What is drawn where nothing is asked for."""
-
 NAMES = {"infinitesimal": "Strain", "green-lagrange": "Green-Lagrange strain", "hencky": "Logarithmic strain"}
-SYMBOLS = {"xx": "xx", "yy": "yy", "xy": "xy", "principal-1": "1", "principal-2": "2", "von-mises": "vM"}
+SYMBOLS = {"principal-1": "1", "principal-2": "2", "principal-3": "3", "von-mises": "vM"}
+"""As labels have them; of a component its name."""
 
 
 @dataclass(frozen=True)
@@ -298,7 +289,7 @@ class StrainChoice:
     measure : {"infinitesimal", "green-lagrange", "hencky"}
         The tensor.
     number : str or None
-        One of ``kinds.NUMBERS``; None for a panel each of xx, yy and xy.
+        One of ``kinds.NUMBERS``; None for a panel of each component.
     by_cell : bool
         As it was computed in the middle of cells, not as it was recovered at nodes.
     """
@@ -308,63 +299,64 @@ class StrainChoice:
     by_cell: bool = False
 
 
-def draw_strain(result: Result, choice: StrainChoice, image: Preview | None = None, unit: LengthUnit = PIXELS,
+def draw_strain(result: Result, choice: StrainChoice, image: Below = None, unit: LengthUnit = PIXELS,
                 scales: Sequence[ColourScale] = (OF_VALUES,)) -> Figure:
-    """Draw strain on the mesh at rest, over an image if given, in one panel or three; scales are theirs, or one."""
+    """Draw strain on the mesh at rest, over an image if given, in one panel or several; scales are theirs, or one."""
     panels = list_strain_panels(result, choice)
     return draw_values(result.mesh, panels, image, unit, scales if len(scales) > 1 else [*scales] * len(panels))
 
 
 def list_strain_panels(result: Result, choice: StrainChoice) -> list[Values]:
-    """List what the panels of a strain map show, one or three."""
+    """List what the panels of a strain map show, one or as many as there are components."""
     tensors = _pick_tensors(result, choice)
-    numbers = PANELS if choice.number is None else (choice.number,)
+    numbers = schema.list_components(result.mesh.dim) if choice.number is None else (choice.number,)
     symbol = "E" if choice.measure == "green-lagrange" else r"\varepsilon"
     where = ", by cell" if choice.by_cell else ""
     panels = []
     for number in numbers:
-        written = f"${symbol}_{{{SYMBOLS[number]}}}$"
+        written = f"${symbol}_{{{SYMBOLS.get(number, number)}}}$"
         panels.append(Values(f"{NAMES[choice.measure]} {written}{where}", f"{written} [-]",
                              _pick_number(tensors, number), choice.by_cell))
     return panels
 
 
 def _pick_tensors(result: Result, choice: StrainChoice) -> Array:
-    """Pick the strains xx, yy, xy, (n_nodes, 3) or (n_cells, 3); raises InputError where there are none at nodes."""
+    """Pick the strains' components, of nodes or cells (n, n_components); raises InputError where nodes have none."""
     if choice.by_cell:
         name = schema.STRAIN_INFINITESIMAL if choice.measure == "infinitesimal" else schema.STRAIN_GREEN_LAGRANGE
-        tensors = schema.pick_in_the_plane(result.cell_data[name])
+        tensors = schema.pick_components(result.cell_data[name], result.mesh.dim)
         return strain.compute_hencky(tensors) if choice.measure == "hencky" else tensors
     name = schema.NODAL_STRAINS[choice.measure]
     if name not in result.point_data:
         raise InputError(f"{result.path}: holds no strain at nodes (written before schema 1.6); add --by-cell, or run "
                          "ddic again")
-    return schema.pick_in_the_plane(result.point_data[name])
+    return schema.pick_components(result.point_data[name], result.mesh.dim)
 
 
 def _pick_number(tensors: Array, number: str) -> Array:
-    """Pick a component, a principal value or the equivalent strain, of tensors xx, yy, xy, (n, 3)."""
-    if number in PANELS:
-        return tensors[:, PANELS.index(number)]
+    """Pick a component, a principal value or the equivalent strain, of tensors (n, n_components)."""
     if number == "von-mises":
         return strain.compute_von_mises_strain(tensors)
-    return strain.find_principal_strains(tensors)[:, 0 if number == "principal-1" else 1]
+    if number.startswith("principal-"):
+        return strain.find_principal_strains(tensors)[:, int(number[-1]) - 1]
+    dim = 2 if tensors.shape[1] == 3 else 3
+    return tensors[:, list(schema.list_components(dim)).index(number)]
 
 
 def list_sigma_panels(result: Result, component: Component, number: str | None, unit: LengthUnit) -> list[Values]:
     """List panels of what noise leaves: of a strain at nodes where ``number`` names one, else of the displacement.
 
-    Of the displacement there is a panel for x and one for y, or that of one of them.
+    Of the displacement there is a panel for each axis, or that of one of them.
     """
     if number is not None:
-        name = schema.SIGMA_NODAL_STRAIN[PANELS.index(number)]
+        name = f"sigma_e{number}"
         symbol = rf"$\sigma(\varepsilon_{{{number}}})$"
         return [Values(f"Standard deviation {symbol}", f"{symbol} [-]", result.point_data[name])]
-    axes = "xy" if component == "magnitude" else component
+    axes = schema.AXES[:result.mesh.dim] if component == "magnitude" else component
     panels = []
     for axis in axes:
         symbol = rf"$\sigma(u_{axis})$"
-        values = unit.size * result.point_data[schema.SIGMA_DISPLACEMENT["xy".index(axis)]]
+        values = unit.size * result.point_data[schema.SIGMA_DISPLACEMENT[schema.AXES.index(axis)]]
         panels.append(Values(f"Standard deviation {symbol}", f"{symbol} [{unit.name}]", values))
     return panels
 
@@ -372,7 +364,7 @@ def list_sigma_panels(result: Result, component: Component, number: str | None, 
 def list_bias_panels(result: Result, component: Component, unit: LengthUnit) -> list[Values]:
     """List the one panel of what the regularization takes from the displacement."""
     symbol = canvas.format_component("b", component)
-    values = unit.size * canvas.pick_component(result.point_data[schema.REGULARIZATION_BIAS][:, :2], component)
+    values = unit.size * canvas.pick_component(result.fields[schema.REGULARIZATION_BIAS], component)
     return [Values(f"Bias of the regularization {symbol}", f"{symbol} [{unit.name}]", values)]
 
 
@@ -516,42 +508,65 @@ SHOWN_PERCENT = 99.5
 
 
 def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PIXELS,
-                  scale: ColourScale = OF_VALUES) -> Figure:
-    """Draw the residual f(x) - g(x + u) by pixel, or its RMS by cell if there is no residual image.
+                  scale: ColourScale = OF_VALUES, slices: Slices | None = None) -> Figure:
+    """Draw the residual f(x) - g(x + u) by pixel, of a volume on slices, or its RMS by cell without a residual image.
 
     Colours of pixels end at the 99.5 % quantile of absolute values. If ``signed``, 0 is white; else they are absolute
     values. Raises InputError where a sign is asked for and there is no residual image.
     """
-    image = result.residual_image
-    if image is None:
+    planes, std = _read_planes(result, slices)
+    if not planes:
         if signed:
             raise InputError(f"{result.path}: holds no residual image, hence no signs; measure with "
                              "output.residual_image = true, or choose --kind residual")
-        return _by_cell(result, unit, scale)
-    bounds = canvas.find_mesh_bounds(unit.size * result.mesh.nodes)
-    std = float(np.nanstd(image)) if np.isfinite(image).any() else float("nan")
-    thinned = _thin(image)
-    low, high = scale.limits or _span_shown(thinned.pixels, signed)
+        return _by_cell(result, unit, scale, slices)
+    low, high = scale.limits or _span_shown(planes, signed)
     note = scale.note if scale.limits is not None else f"{SHOWN_PERCENT:g} % of the pixels"
     if signed:
         name, symbol, palette = "Signed correlation residual", "$f(x) - g(x + u)$", SIGNED_PALETTE
     else:
         name, symbol, palette = "Correlation residual", "$|f(x) - g(x + u)|$", RESIDUAL_PALETTE
-        thinned = replace(thinned, pixels=np.abs(thinned.pixels))
-    figure, axes = canvas.make_image_figure(bounds, f"{name}, standard deviation {std:.3g} grey levels", unit)
-    colours = thinned.show(axes, unit.size, cmap=scale.palette or palette, vmin=low, vmax=high)
-    canvas.set_bounds(axes, bounds)
+        planes = [replace(plane, pixels=np.abs(plane.pixels)) for plane in planes]
+    title = f"{name}, standard deviation {std:.3g} grey levels"
+    style = {"cmap": scale.palette or palette, "vmin": low, "vmax": high}
+    if slices is None:
+        bounds = canvas.find_mesh_bounds(unit.size * result.mesh.nodes)
+        figure, axes = canvas.make_image_figure(bounds, title, unit)
+        hosts, colours = [axes], planes[0].show(axes, unit.size, **style)
+        canvas.set_bounds(axes, bounds)
+    else:
+        figure, (views,) = make_views(slices, [f"{title} in these slices"], unit)
+        hosts = views.hosts
+        for axes, one, plane in zip(views.axes, slices, planes, strict=True):
+            colours = plane.show(axes, unit.size, **style)
+            one.set_bounds(axes, unit)
     label = replace(scale, limits=(low, high), note=note).format_label(f"{symbol} [grey levels]")
-    canvas.add_colour_bar(figure, axes, colours, label)
+    for host in hosts:
+        canvas.add_colour_bar(figure, host, colours, label)
     return figure
 
 
-def find_residual_limits(result: Result, *, signed: bool = False) -> Limits:
+def find_residual_limits(result: Result, *, signed: bool = False, slices: Slices | None = None) -> Limits:
     """Find where the colours of a residual begin and end, grey levels."""
-    image = result.residual_image
-    if image is None:
-        return OF_VALUES.find_limits(result.cell_data[schema.RESIDUAL_RMS])
-    return _span_shown(_thin(image).pixels, signed)
+    planes, _ = _read_planes(result, slices)
+    return _span_shown(planes, signed) if planes else OF_VALUES.find_limits(result.cell_data[schema.RESIDUAL_RMS])
+
+
+def _read_planes(result: Result, slices: Slices | None) -> tuple[list[Preview], float]:
+    """What a figure can show of a residual image, or slices of a volume's, and the standard deviation of these.
+
+    There are none where no residual image was written.
+    """
+    if slices is None:
+        image = result.residual_image
+        return ([], math.nan) if image is None else ([_thin(image)], _measure_std(image))
+    extent = result.residual_extent
+    planes = [] if extent is None else [one.read(result.read_residual, extent) for one in slices]
+    return planes, _measure_std(np.concatenate([np.empty(0), *(plane.pixels.ravel() for plane in planes)]))
+
+
+def _measure_std(image: NDArray[Any]) -> float:
+    return float(np.nanstd(image)) if np.isfinite(image).any() else math.nan
 
 
 def _thin(image: NDArray[np.float32]) -> Preview:
@@ -561,17 +576,21 @@ def _thin(image: NDArray[np.float32]) -> Preview:
     return Preview(image[::step, ::step], step, width, height)
 
 
-def _span_shown(shown: NDArray[np.float32], signed: bool) -> Limits:
+def _span_shown(planes: Sequence[Preview], signed: bool) -> Limits:
     """Where colours begin and end: 0 in the middle of signed values, at the beginning of others."""
+    shown = np.concatenate([plane.pixels.ravel() for plane in planes])
     finite = shown[np.isfinite(shown)]
     top = float(np.percentile(np.abs(finite), SHOWN_PERCENT)) if finite.size else 1.0
     top = top or 1.0
     return (-top if signed else 0.0), top
 
 
-def _by_cell(result: Result, unit: LengthUnit, scale: ColourScale) -> Figure:
+def _by_cell(result: Result, unit: LengthUnit, scale: ColourScale, slices: Slices | None) -> Figure:
     """RMS by cell in colour."""
     nodes, panel = unit.size * result.mesh.nodes, list_residual_panels(result)[0]
+    if slices is not None:
+        scale = replace(scale, palette=scale.palette or RESIDUAL_PALETTE)
+        return draw_values(result.mesh, [panel], slices, unit, [scale])
     figure, axes = canvas.make_image_figure(canvas.find_mesh_bounds(nodes), panel.title, unit)
     cells = canvas.draw_cell_colours(axes, result.mesh, nodes, panel.values, scale, RESIDUAL_PALETTE)
     canvas.add_colour_bar(figure, axes, cells, scale.format_label(panel.label))

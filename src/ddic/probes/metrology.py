@@ -19,7 +19,6 @@ from scipy.optimize import brentq
 from ddic.arrays import Array, IntArray
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
-from ddic.mesh.cell_type import T3
 from ddic.mesh.interpolation import interpolate_located, locate
 from ddic.mesh.quality import measure_covered_areas
 from ddic.probes.probes import Extensometer, LineProbe, PointProbe, Probe, StrainGauge, list_samples
@@ -28,11 +27,39 @@ ORDERS = {"equilibrium_gap": 4, "tikhonov": 2}
 """Power of wavelength with which a regularization fades: fourth of the equilibrium gap, second of Tikhonov's term."""
 
 N_WAVES = 512
-"""Wave numbers along each axis of the integrals over spectra; twice as many change noise by less than a per cent."""
+"""Wave numbers along each axis of the plane of the integrals over spectra; twice as many change noise by less than a
+per cent."""
+
+N_SCATTERED = 1 << 16
+"""Waves of these integrals in a volume, where a grid would have too many: twice as many change the noise of probes of
+up to some hundred elements by less than a per cent."""
+
+SCATTER = np.array([0.8191725133961644, 0.671043606703789, 0.5497004779019701])
+"""Steps along the axes of places, modulo 1, that fill a cube evenly, and each axis too: 1/r, 1/r^2, 1/r^3, r^4 = r + 1.
+"""
 
 DOMAINS = 4.0
 """Length of the domain whose waves are summed, in units of the longest thing in it: twice as long changes noise by
 less than a per cent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """Waves over which noise is summed.
+
+    Attributes
+    ----------
+    vectors : (n, dim) array
+        Wave vectors, rad/px.
+    weights : (n,) array
+        How many cells of the space of wave vectors each stands for.
+    cell : float
+        Volume of such a cell, or area in the plane, (rad/px)^dim.
+    """
+
+    vectors: Array
+    weights: Array
+    cell: float
 
 
 @dataclass(frozen=True)
@@ -48,12 +75,15 @@ class DisplacementChain:
         regularization, nan where they are not known.
     order : int
         Power of the wavelength with which the regularization fades.
+    dim : int
+        Number of space dimensions.
     """
 
     spacing: float
     shear: float = 0.0
     longitudinal: float = 0.0
     order: int = 4
+    dim: int = 2
 
     @property
     def longest(self) -> float:
@@ -80,33 +110,48 @@ class DisplacementChain:
         """
         return np.asarray((2.0 + np.cos(wave_number * self.spacing)) / 3.0)
 
-    def make_waves(self, length: float) -> Array:
-        """List wave vectors (n, 2), a regular grid, rad/px, over which noise of what has some length, px, is summed."""
+    def weigh_shapes_along_all(self, vectors: Array) -> Array:
+        """The same of waves of any direction, (n, dim), rad/px: the product over the axes."""
+        return np.asarray(math.prod(self.weigh_shapes(of_axis) for of_axis in vectors.T))
+
+    def make_waves(self, length: float) -> Waves:
+        """List waves over which noise of what has some length, px, is summed: in the plane a regular grid of them."""
+        if self.dim == 3:
+            return self._scatter_waves(2.0 * np.pi / max(length, self.longest))
         step = 2.0 * np.pi / (DOMAINS * max(length, 2.0 * self.longest))
         highest = min(np.pi / self.spacing, 0.5 * N_WAVES * step)
         n = int(np.ceil(2.0 * highest / step))
         axis = highest * (2.0 * (np.arange(n) + 0.5) / n - 1.0)
-        return np.column_stack([grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij")])
+        vectors = np.column_stack([grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij")])
+        return Waves(vectors, np.ones(len(vectors)), float(axis[1] - axis[0])**2)
 
-    def predict_noise(self, waves: Array) -> Array:
-        """Predict the covariance, (n, 2, 2), of unit noise of the nodes in each wave of ``make_waves``; they add up."""
-        return np.asarray(self._shape_noise(waves) * (_find_cell(waves) / self._total))
+    def _scatter_waves(self, scale: float) -> Waves:
+        """Waves scattered evenly, but along each axis the more thinly the farther they are beyond a scale, rad/px."""
+        places = 2.0 * (np.arange(1, N_SCATTERED + 1)[:, None] * SCATTER % 1.0) - 1.0
+        stretch = np.arcsinh(np.pi / self.spacing / scale)
+        vectors = scale * np.sinh(stretch * places)
+        weights = (stretch * np.hypot(scale, vectors)).prod(axis=1)
+        return Waves(vectors, weights, 2.0**self.dim / N_SCATTERED)
+
+    def predict_noise(self, waves: Waves) -> Array:
+        """Predict the covariance, (n, dim, dim), of unit noise of the nodes in each of these waves; they add up."""
+        return np.asarray(self._shape_noise(waves) * (waves.cell / self._total))
 
     @cached_property
     def _total(self) -> float:
-        """Mean variance of the two components under the shape of the spectrum."""
+        """Mean variance of the components under the shape of the spectrum."""
         waves = self.make_waves(0.0)
-        return float(0.5 * np.einsum("nii->", self._shape_noise(waves)) * _find_cell(waves))
+        return float(1 / self.dim * np.einsum("nii->", self._shape_noise(waves)) * waves.cell)
 
-    def _shape_noise(self, waves: Array) -> Array:
-        """The spectrum but for its level, (n, 2, 2)."""
-        size = np.linalg.norm(waves, axis=1)
-        along = waves / np.maximum(size, 1e-300)[:, None]
-        mass = self.weigh_shapes(waves[:, 0]) * self.weigh_shapes(waves[:, 1])
-        longitudinal = self.keep_by_regularization(size, self.longitudinal)**2 / mass
-        shear = self.keep_by_regularization(size, self.shear)**2 / mass
+    def _shape_noise(self, waves: Waves) -> Array:
+        """The spectrum but for its level, times the waves' weights, (n, dim, dim)."""
+        size = np.linalg.norm(waves.vectors, axis=1)
+        along = waves.vectors / np.maximum(size, 1e-300)[:, None]
+        mass = self.weigh_shapes_along_all(waves.vectors)
+        longitudinal = self.keep_by_regularization(size, self.longitudinal)**2 / mass * waves.weights
+        shear = self.keep_by_regularization(size, self.shear)**2 / mass * waves.weights
         lengthwise = along[:, :, None] * along[:, None, :]
-        across = np.eye(2) - lengthwise
+        across = np.eye(self.dim) - lengthwise
         return np.asarray(longitudinal[:, None, None] * lengthwise + shear[:, None, None] * across)
 
 
@@ -128,23 +173,18 @@ def find_chain(result: Result, cells: IntArray) -> DisplacementChain:
     spacing = float(f"{_find_spacing(result, cells):.12g}")
     return DisplacementChain(spacing, float(case.get("half_amplitude_shear_px", unknown)),
                              float(case.get("half_amplitude_longitudinal_px", unknown)),
-                             ORDERS[str(section.get("operator", "equilibrium_gap"))])
+                             ORDERS[str(section.get("operator", "equilibrium_gap"))], result.mesh.dim)
 
 
 def _find_spacing(result: Result, cells: IntArray) -> float:
-    """Mean spacing of nodes: the root of a square's area, or of two triangles'."""
+    """Mean spacing of nodes: the side of a square or a cube that has as much of the mesh as a node has."""
     if result.separated is not None:
         axes = (result.separated.along_x.nodes, result.separated.along_y.nodes)
         return float(np.sqrt(np.prod([np.ptp(nodes) / (len(nodes) - 1) for nodes in axes])))
-    areas, _ = measure_covered_areas(result.mesh)
-    of_nodes = np.where(result.mesh.types == T3.vtk, 2.0 * areas, areas)
-    return float(np.sqrt(of_nodes[cells] if len(cells) else of_nodes).mean())
-
-
-def _find_cell(waves: Array) -> float:
-    """Area of the plane of wave vectors that each of a regular grid stands for."""
-    step = float(waves[1, 1] - waves[0, 1])
-    return step * step
+    of_nodes, _ = measure_covered_areas(result.mesh)
+    for block in result.mesh.cell_blocks:
+        of_nodes[block.cells] *= block.type.cells_around_node / block.type.n_nodes
+    return float(((of_nodes[cells] if len(cells) else of_nodes)**(1 / result.mesh.dim)).mean())
 
 
 SMALL = 1e-3
@@ -152,24 +192,23 @@ SMALL = 1e-3
 
 
 def _evaluate_displacement_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
-    """What is left, (n,), of waves (n, 2), rad/px, in the displacement of a point, a line or a strain gauge."""
+    """What is left, (n,), of waves (n, dim), rad/px, in the displacement of a point, a line or a strain gauge."""
     if not isinstance(probe, StrainGauge):
         return np.ones(len(waves))
-    along, across = _turn(probe, waves)
-    mean = _evaluate_sinc(0.5 * along * probe.length) * _evaluate_sinc(0.5 * across * probe.across)
+    mean = _evaluate_sinc(0.5 * (waves @ probe.axis) * probe.length) * _average_across(probe, waves)
     return np.asarray(_interpolate(chain, waves) * mean)
 
 
 def _evaluate_strain_response(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
-    """The slope, (n,), 1/px without the factor i, that a probe measures along itself, or x, of waves (n, 2), rad/px."""
+    """The slope, (n,), 1/px without the factor i, that a probe measures along itself, or x, of waves (n, dim)."""
     if isinstance(probe, PointProbe | LineProbe):
         # Recovered from the cells around a node: a central difference.
         return np.asarray(np.sin(waves[:, 0] * chain.spacing) / chain.spacing)
-    along, across = _turn(probe, waves)
+    along = waves @ probe.axis
     half = 0.5 * along * probe.length
     if isinstance(probe, Extensometer):
         return along * _evaluate_sinc(half)
-    return along * _interpolate(chain, waves) * _fit_slope(half) * _evaluate_sinc(0.5 * across * probe.across)
+    return along * _interpolate(chain, waves) * _fit_slope(half) * _average_across(probe, waves)
 
 
 def _evaluate_strain_power(probe: Probe, chain: DisplacementChain, waves: Array) -> Array:
@@ -177,22 +216,18 @@ def _evaluate_strain_power(probe: Probe, chain: DisplacementChain, waves: Array)
     if not isinstance(probe, Extensometer):
         return np.asarray(_evaluate_strain_response(probe, chain, waves)**2)
     # Ends lie anywhere in their cells: their squares are means over a cell.
-    along, _ = _turn(probe, waves)
-    square = chain.weigh_shapes(waves[:, 0]) * chain.weigh_shapes(waves[:, 1])
-    common = _interpolate(chain, waves)**2 * np.cos(along * probe.length)
-    return np.asarray(2.0 * (square - common) / probe.length**2)
+    common = _interpolate(chain, waves)**2 * np.cos(waves @ probe.axis * probe.length)
+    return np.asarray(2.0 * (chain.weigh_shapes_along_all(waves) - common) / probe.length**2)
 
 
-def _turn(probe: Extensometer | StrainGauge, waves: Array) -> tuple[Array, Array]:
-    """Wave numbers along a probe and across it."""
-    x, y = probe.direction
-    return waves @ np.array([x, y]), waves @ np.array([-y, x])
+def _average_across(gauge: StrainGauge, waves: Array) -> Array:
+    """What the means over the sides across a gauge leave, (n,), of waves."""
+    return np.asarray(math.prod(_evaluate_sinc(0.5 * (waves @ axis) * gauge.across) for axis in gauge.axes[1:]))
 
 
 def _interpolate(chain: DisplacementChain, waves: Array) -> Array:
-    """Mean amplitude between nodes of a wave that nodes have with amplitude 1, by bilinear shape functions."""
-    x, y = 0.5 * chain.spacing * waves.T
-    return np.asarray(_evaluate_sinc(x)**2 * _evaluate_sinc(y)**2)
+    """Mean amplitude between nodes of a wave that nodes have with amplitude 1, by shape functions linear along axes."""
+    return np.asarray(math.prod(_evaluate_sinc(of_axis)**2 for of_axis in 0.5 * chain.spacing * waves.T))
 
 
 def _fit_slope(half: Array) -> Array:
@@ -223,7 +258,7 @@ class Metrology:
     displacement_resolution : float
         Wavelength of which 90 % are left in the displacement, pixels; nan of an extensometer.
     strain_noise : float
-        Standard deviation of the strain along the probe, or of xx and yy, no unit.
+        Standard deviation of the strain along the probe, or of xx, yy and, in a volume, zz, no unit.
     strain_resolution : float
         Wavelength of which 90 % are left in the strain, pixels.
     note : str
@@ -265,20 +300,22 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
     Metrology
         With nan, and a note, where the result does not say its noise or its cut-off wavelength.
     """
-    samples = list_samples(probe)
+    samples = list_samples(result, probe)
     cells = locate(result.mesh, samples).cells
     chain = find_chain(result, cells[cells >= 0])
     if isinstance(probe, PointProbe):
         # It is alike everywhere.
-        probe = PointProbe("", (0.0, 0.0))
-    level = _find_level(result, samples, schema.SIGMA_DISPLACEMENT) if noise is None else noise
+        probe = PointProbe("", (0.0,) * probe.dim)
+    level = _find_level(result, samples, schema.SIGMA_DISPLACEMENT[:probe.dim]) if noise is None else noise
     if math.isnan(level) and noise is None:
         level = float(result.attributes.get(schema.CASE, {}).get(schema.NOISE_FLOOR, math.nan))
     notes = ["the result records no noise floor"] if math.isnan(level) else []
     if math.isnan(chain.longest):
         notes.append("regularized by eta: no cut-off wavelength is recorded")
         return Metrology(level, math.nan, math.nan, math.nan, "; ".join(notes))
-    of_strain = math.nan if noise is not None else _find_level(result, samples, schema.SIGMA_NODAL_STRAIN[:2])
+    # xx, yy and, in a volume, zz are the first.
+    normal = schema.list_sigma_strains(probe.dim)[:probe.dim]
+    of_strain = math.nan if noise is not None else _find_level(result, samples, normal)
     is_local = isinstance(probe, PointProbe | LineProbe) and not math.isnan(of_strain)
     strain_noise = of_strain if is_local else level * find_strain_noise(probe, chain)
     of_displacement = math.nan, math.nan
@@ -291,8 +328,8 @@ def estimate_metrology(result: Result, probe: Probe, noise: float | None = None)
 def _find_displacement_noise(probe: Probe, chain: DisplacementChain) -> float:
     """Noise of a component of the displacement of a point, a line or a gauge, relative to that of the nodes."""
     waves = chain.make_waves(_find_size(probe))
-    response = _evaluate_displacement_response(probe, chain, waves)
-    return float(np.sqrt(0.5 * np.einsum("n,nii->", response**2, chain.predict_noise(waves))))
+    response = _evaluate_displacement_response(probe, chain, waves.vectors)
+    return float(np.sqrt(1 / chain.dim * np.einsum("n,nii->", response**2, chain.predict_noise(waves))))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
@@ -301,7 +338,7 @@ def find_strain_noise(probe: Probe, chain: DisplacementChain) -> float:
     waves = chain.make_waves(_find_size(probe))
     direction = _find_axis(probe)
     along = np.einsum("nij,i,j->n", chain.predict_noise(waves), direction, direction)
-    return float(np.sqrt((_evaluate_strain_power(probe, chain, waves) * along).sum()))
+    return float(np.sqrt((_evaluate_strain_power(probe, chain, waves.vectors) * along).sum()))
 
 
 @lru_cache(maxsize=KEPT_PROBES)
@@ -337,7 +374,7 @@ def _find_wavelength(probe: Probe, chain: DisplacementChain, respond: Callable[[
 
 
 def _find_axis(probe: Probe) -> Array:
-    return np.array([1.0, 0.0]) if isinstance(probe, PointProbe | LineProbe) else probe.direction
+    return np.eye(probe.dim)[0] if isinstance(probe, PointProbe | LineProbe) else probe.axis
 
 
 def _find_size(probe: Probe) -> float:
@@ -348,7 +385,7 @@ def _find_size(probe: Probe) -> float:
 
 
 def _find_level(result: Result, samples: Array, names: Sequence[str]) -> float:
-    """RMS over some places of two fields of standard deviations; nan where the result has none."""
+    """RMS over some places of fields of standard deviations; nan where the result has none."""
     if any(name not in result.point_data for name in names):
         return math.nan
     fields = np.column_stack([result.point_data[name] for name in names])

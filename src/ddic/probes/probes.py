@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +21,8 @@ from ddic.io.text_files import parse_toml, read_text
 from ddic.kinematics.strain import compute_green_lagrange, compute_hencky, compute_infinitesimal
 from ddic.mesh.interpolation import interpolate_located, locate
 
-Place = tuple[float, float]
+Place = tuple[float, ...]
+"""x and y, or x, y and z in a volume, pixels of the reference image."""
 
 MOST_PLACES = 100_000
 """Places along one line; a larger number makes larger tables."""
@@ -35,7 +36,7 @@ class PointProbe:
     ----------
     name : str
         In tables.
-    point : (x, y)
+    point : (x, y) or (x, y, z)
         Pixels of the reference image.
     """
 
@@ -43,7 +44,12 @@ class PointProbe:
     point: Place
 
     def __post_init__(self) -> None:
-        _require_finite(self.name, *self.point)
+        _require_places(self.name, self.point)
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return len(self.point)
 
 
 @dataclass(frozen=True)
@@ -55,9 +61,15 @@ class _BetweenEnds:
     end: Place
 
     def __post_init__(self) -> None:
-        _require_finite(self.name, *self.start, *self.end)
+        _require_places(self.name, self.start, self.end)
         if self.length == 0.0:
-            raise InputError(f"{self.name}: both ends are ({self.start[0]:g}, {self.start[1]:g}); give two points")
+            raise InputError(f"{self.name}: both ends are ({', '.join(f'{number:g}' for number in self.start)}); give "
+                             "two points")
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return len(self.start)
 
     @property
     def length(self) -> float:
@@ -65,8 +77,8 @@ class _BetweenEnds:
         return math.dist(self.start, self.end)
 
     @property
-    def direction(self) -> Array:
-        """Unit vector from the start to the end, (2,)."""
+    def axis(self) -> Array:
+        """Unit vector from the start to the end, (dim,)."""
         way = np.subtract(self.end, self.start)
         return np.asarray(way / np.linalg.norm(way))
 
@@ -79,7 +91,7 @@ class LineProbe(_BetweenEnds):
     ----------
     name : str
         In tables.
-    start, end : (x, y)
+    start, end : (x, y) or (x, y, z)
         Pixels of the reference image.
     spacing : float
         Between places, pixels, or a little less so that both ends are places.
@@ -104,27 +116,29 @@ class Extensometer(_BetweenEnds):
     ----------
     name : str
         In tables.
-    start, end : (x, y)
+    start, end : (x, y) or (x, y, z)
         Its ends, pixels of the reference image, whose distance is the gauge length L0.
     """
 
 
 @dataclass(frozen=True)
 class StrainGauge:
-    """Strain of the plane that fits the displacement over a rectangle best.
+    """Strain of the linear displacement that fits best over a rectangle, or over a bar of square section in a volume.
 
     Attributes
     ----------
     name : str
         In tables.
-    centre : (x, y)
+    centre : (x, y) or (x, y, z)
         Pixels of the reference image.
     length : float
-        Of the rectangle along its direction: the gauge length, pixels.
+        Of the rectangle or the bar along the gauge: the gauge length, pixels.
     width : float or None
-        Of the rectangle across, pixels; that of a square by default.
+        Of the rectangle or the bar across, pixels; that of a square or a cube by default.
     angle : float
-        Of the direction, degrees from x towards y, which is clockwise on the screen.
+        Of a gauge in the plane, degrees from x towards y, which is clockwise on the screen.
+    direction : (x, y, z) or None
+        Of a gauge in a volume, a vector of any length along it; x by default.
     """
 
     name: str
@@ -132,28 +146,65 @@ class StrainGauge:
     length: float
     width: float | None = None
     angle: float = 0.0
+    direction: Place | None = None
 
     def __post_init__(self) -> None:
+        _require_places(self.name, self.centre, self.direction or self.centre)
         _require_finite(self.name, *self.centre, self.length, self.across, self.angle)
         _require_positive(self.name, "length", self.length)
         _require_positive(self.name, "width", self.across)
+        if self.dim == 2 and self.direction is not None:
+            raise InputError(f"{self.name}: direction is of a gauge in a volume; give angle")
+        if self.dim == 3 and self.angle:
+            raise InputError(f"{self.name}: angle is of a gauge in the plane; give direction, a vector (x, y, z)")
+        if self.direction is not None and not any(self.direction):
+            raise InputError(f"{self.name}: direction = (0, 0, 0); give a vector along the gauge")
+
+    @property
+    def dim(self) -> int:
+        """Number of space dimensions."""
+        return len(self.centre)
 
     @property
     def across(self) -> float:
-        """Width of the rectangle, pixels."""
+        """Width of the rectangle or the bar, pixels."""
         return self.length if self.width is None else self.width
 
     @property
-    def direction(self) -> Array:
-        """Unit vector along the gauge, (2,)."""
-        turned = math.radians(self.angle)
-        return np.array([math.cos(turned), math.sin(turned)])
+    def axis(self) -> Array:
+        """Unit vector along the gauge, (dim,)."""
+        return np.asarray(self.axes[0])
+
+    @property
+    def axes(self) -> Array:
+        """Unit vectors along the gauge and across it, (dim, dim).
+
+        In a volume the first one across is as near as can be to the axis, x, y or z, that is farthest from the gauge.
+        """
+        if self.dim == 2:
+            turned = math.radians(self.angle)
+            along = np.array([math.cos(turned), math.sin(turned)])
+            return np.array([along, [-along[1], along[0]]])
+        way = np.array(self.direction or (1.0, 0.0, 0.0))
+        along = way / np.linalg.norm(way)
+        farthest = np.eye(3)[np.argmin(np.abs(along))]
+        across = farthest - along * (along @ farthest)
+        across /= np.linalg.norm(across)
+        return np.array([along, across, np.cross(along, across)])
 
 
 Probe = PointProbe | LineProbe | Extensometer | StrainGauge
 
 KINDS = {PointProbe: "point", LineProbe: "line", Extensometer: "extensometer", StrainGauge: "gauge"}
 """Kinds of probe, as files and tables call them."""
+
+
+def _require_places(name: str, *places: Place) -> None:
+    """Refuse places that are not all of two or all of three finite numbers."""
+    if {len(place) for place in places} not in ({2}, {3}):
+        given = ", ".join(str(tuple(place)) for place in places)
+        raise InputError(f"{name}: {given}: (x, y) expected, or (x, y, z) in a volume, pixels")
+    _require_finite(name, *(number for place in places for number in place))
 
 
 def _require_finite(name: str, *numbers: float) -> None:
@@ -169,15 +220,15 @@ def _require_positive(name: str, key: str, value: float) -> None:
 CLASSES: dict[str, type[Probe]] = {name: kind for kind, name in KINDS.items()}
 
 FORMS = {
-    "point": ("x,y", 2, 2),
-    "line": ("x0,y0,x1,y1[,spacing]", 4, 5),
-    "extensometer": ("x0,y0,x1,y1", 4, 4),
-    "gauge": ("x,y,length[,angle[,width]]", 3, 5),
+    2: {"point": "x,y", "line": "x0,y0,x1,y1[,spacing]", "extensometer": "x0,y0,x1,y1",
+        "gauge": "x,y,length[,angle[,width]]"},
+    3: {"point": "x,y,z", "line": "x0,y0,z0,x1,y1,z1[,spacing]", "extensometer": "x0,y0,z0,x1,y1,z1",
+        "gauge": "x,y,z,length[,dx,dy,dz[,width]]"},
 }
-"""How a probe of each kind is written as numbers, and how many there are, at least and at most."""
+"""How a probe of each kind is written as numbers, in the plane and in a volume."""
 
-PLACES = ("point", "start", "end", "centre")
-"""Keys that take [x, y]; all others take a number."""
+PLACES = ("point", "start", "end", "centre", "direction")
+"""Keys that take [x, y] or [x, y, z]; all others take a number."""
 
 
 def load_probes(path: Path | str) -> list[Probe]:
@@ -234,20 +285,27 @@ def format_probe(probe: Probe) -> str:
     return "\n".join(lines) + "\n"
 
 
-def parse_probe(kind: str, name: str, text: str) -> Probe:
+def parse_probe(kind: str, name: str, text: str, dim: int = 2) -> Probe:
     """Read a probe of a kind from numbers between commas, as FORMS has them; raises InputError for others."""
-    form, fewest, most = FORMS[kind]
+    form = FORMS[dim][kind]
     try:
         numbers = [float(number) for number in text.split(",")]
     except ValueError:
         numbers = []
-    if not fewest <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
-        raise InputError(f"--{kind} {text}: {form} expected, numbers in pixels")
+    n_commas = accumulate(part.count(",") for part in form.split("["))
+    if len(numbers) - 1 not in n_commas or not all(map(math.isfinite, numbers)):
+        of_volume = " of a volume" if dim == 3 else ""
+        raise InputError(f"--{kind} {text}: {form} expected{of_volume}, numbers in pixels")
+    keys = [field.name for field in fields(CLASSES[kind]) if field.name != "name"]
     if kind == "gauge":
-        extent = dict(zip(("length", "angle", "width"), numbers[2:], strict=False))
-        return StrainGauge(name, (numbers[0], numbers[1]), **extent)
-    given: list[Any] = [*zip(numbers[0:4:2], numbers[1:4:2], strict=True), *numbers[4:]]
-    return CLASSES[kind](name, *given)
+        keys = ["centre", "length", "angle" if dim == 2 else "direction", "width"]
+    given: dict[str, Any] = {}
+    while numbers:
+        key = keys.pop(0)
+        n_numbers = dim if key in PLACES else 1
+        given[key] = tuple(numbers[:n_numbers]) if key in PLACES else numbers[0]
+        numbers = numbers[n_numbers:]
+    return CLASSES[kind](name, **given)
 
 
 def _check_kind(kind: str, named: Any) -> Mapping[str, Any]:
@@ -271,15 +329,15 @@ def _build_probe(kind: str, name: str, keys: Mapping[str, Any]) -> Probe:
 
 
 def _convert(where: str, key: str, value: Any) -> Any:
-    """A place as a pair of numbers, anything else as a number."""
+    """A place as two or three numbers, anything else as a number."""
     if key not in PLACES:
         if not _is_number(value):
             raise InputError(f"{where} = {value!r}: expected a number")
         return float(value)
     is_list = isinstance(value, Sequence) and not isinstance(value, str)
-    if not is_list or len(value) != 2 or not all(map(_is_number, value)):
-        raise InputError(f"{where} = {value!r}: expected [x, y], pixels")
-    return float(value[0]), float(value[1])
+    if not is_list or len(value) not in (2, 3) or not all(map(_is_number, value)):
+        raise InputError(f"{where} = {value!r}: expected [x, y], or [x, y, z] in a volume, pixels")
+    return tuple(map(float, value))
 
 
 def _is_number(value: Any) -> bool:
@@ -288,9 +346,9 @@ def _is_number(value: Any) -> bool:
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
 
-MOST_SAMPLES = 64
-"""Places along each side of a strain gauge at which its plane is fitted; there is one a pixel of small ones. More
-change the plane by less than a thousandth, and take longer."""
+MOST_SAMPLES = {2: 64, 3: 32}
+"""Places along each side of a strain gauge, in the plane and in a volume, at which its plane is fitted; there is one a
+pixel of small ones. More change the plane by less than a thousandth, and take longer."""
 
 FEWEST_SAMPLES = 4
 """The least number of them, for gauges of a few pixels."""
@@ -304,14 +362,14 @@ class Reading:
     ----------
     probe : Probe
         What read it.
-    points : (n, 2) array
+    points : (n, dim) array
         Places, pixels of the reference image: the middle of an extensometer or a gauge.
     distance : (n,) array
         Of the places from the start of a line, pixels; 0 of other probes.
-    displacement : (n, 2) array
+    displacement : (n, dim) array
         Pixels; the mean over a strain gauge, nan of an extensometer.
-    strain : (n, 3) array
-        xx, yy, xy of the tensor that was asked for; nan of an extensometer.
+    strain : (n, n_components) array
+        xx, yy, xy, or in a volume xx, yy, zz, xy, yz, xz of the tensor that was asked for; nan of an extensometer.
     along : (n,) array
         Engineering strain along the probe, which no rotation changes; nan of a point, which has no direction.
     note : str
@@ -343,6 +401,11 @@ def measure_probe(result: Result, probe: Probe, measure: Measure = "infinitesima
     -------
     Reading
         nan where a probe leaves the mesh or meets nodes that were not measured, with the reason as its note.
+
+    Raises
+    ------
+    InputError
+        Where the probe is of the plane and the result of a volume, or the other way about.
     """
     if isinstance(probe, Extensometer):
         return _read_extensometer(result, probe)
@@ -351,19 +414,26 @@ def measure_probe(result: Result, probe: Probe, measure: Measure = "infinitesima
     return _read_places(result, probe, measure)
 
 
-def list_samples(probe: Probe) -> Array:
-    """List the places at which a probe asks for the displacement, (n, 2), pixels of the reference image."""
+def list_samples(result: Result, probe: Probe) -> Array:
+    """List the places at which a probe asks for the displacement, (n, dim), pixels of the reference image.
+
+    Raises InputError where the result is of another number of dimensions.
+    """
+    if probe.dim != result.mesh.dim:
+        what, letters = ("an image", "x and y") if result.mesh.dim == 2 else ("a volume", "x, y and z")
+        raise InputError(f"{probe.name}: a {KINDS[type(probe)]} of {probe.dim} numbers a place, but {result.path.name} "
+                         f"is of {what}; give {letters}")
     if isinstance(probe, PointProbe):
         return np.array([probe.point])
     if isinstance(probe, StrainGauge):
         sides = []
-        for side in (probe.length, probe.across):
+        for side in (probe.length, *(probe.across,) * (probe.dim - 1)):
             # The middles of equal parts, from the gauge's centre.
-            n = int(np.clip(math.ceil(side), FEWEST_SAMPLES, MOST_SAMPLES))
+            n = int(np.clip(math.ceil(side), FEWEST_SAMPLES, MOST_SAMPLES[probe.dim]))
             sides.append(side * ((np.arange(n) + 0.5) / n - 0.5))
         local = np.column_stack([grid.ravel() for grid in np.meshgrid(*sides, indexing="ij")])
-        across = np.array([-probe.direction[1], probe.direction[0]])
-        return np.asarray(probe.centre + local[:, :1] * probe.direction + local[:, 1:] * across)
+        steps = (local[:, k, None] * axis for k, axis in enumerate(probe.axes))
+        return np.asarray(sum(steps, start=np.array(probe.centre)))
     n_places = 2 if isinstance(probe, Extensometer) else math.ceil(probe.length / probe.spacing - 1e-9) + 1
     share = np.linspace(0.0, 1.0, n_places)[:, None]
     return np.asarray((1.0 - share) * probe.start + share * np.asarray(probe.end))
@@ -371,13 +441,13 @@ def list_samples(probe: Probe) -> Array:
 
 def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure) -> Reading:
     """Displacement of the cells, strain as it was recovered at their nodes, interpolated."""
-    points = list_samples(probe)
+    points, dim = list_samples(result, probe), probe.dim
     located = locate(result.mesh, points)
 
     def interpolate_strain(name: str) -> Array:
         if name not in result.point_data:
-            return np.full((len(points), 3), np.nan)
-        return interpolate_located(result.mesh, schema.pick_in_the_plane(result.point_data[name]), located)
+            return np.full((len(points), len(schema.list_components(dim))), np.nan)
+        return interpolate_located(result.mesh, schema.pick_components(result.point_data[name], dim), located)
 
     displacement = result.at(points)
     along = np.full(len(points), np.nan)
@@ -385,7 +455,7 @@ def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure
     if isinstance(probe, LineProbe):
         distance = np.linspace(0.0, probe.length, len(points))
         # The stretch of a fibre from Green and Lagrange's strain, exactly.
-        along = _stretch_fibre(interpolate_strain(schema.NODAL_GREEN_LAGRANGE), probe.direction)
+        along = _stretch_fibre(interpolate_strain(schema.NODAL_GREEN_LAGRANGE), probe.axis)
     at_nodes = schema.NODAL_STRAINS[measure]
     lacks_strain = at_nodes not in result.point_data
     note = _describe_places(result, located.cells, displacement,
@@ -393,18 +463,19 @@ def _read_places(result: Result, probe: PointProbe | LineProbe, measure: Measure
     return Reading(probe, points, distance, displacement, interpolate_strain(at_nodes), along, note)
 
 
-def _stretch_fibre(green_lagrange: Array, direction: Array) -> Array:
-    """sqrt(1 + 2 e.E.e) - 1 of a fibre that lay along e; (n, 3) -> (n,)."""
-    x, y = direction
-    xx, yy, xy = green_lagrange.T
-    twice = 2.0 * (x * x * xx + y * y * yy + 2.0 * x * y * xy)
+def _stretch_fibre(green_lagrange: Array, axis: Array) -> Array:
+    """sqrt(1 + 2 e.E.e) - 1 of a fibre that lay along e, ``axis``; (n, n_components) -> (n,)."""
+    e = dict(zip(schema.AXES, axis, strict=False))
+    terms = [(1.0 if pair[0] == pair[1] else 2.0) * e[pair[0]] * e[pair[1]] * of_pair
+             for pair, of_pair in zip(schema.list_components(len(axis)), green_lagrange.T, strict=True)]
+    twice = 2.0 * sum(terms[1:], start=terms[0])
     # The same as the root less 1, which would lose the digits of small strains.
     return np.asarray(twice / (np.sqrt(1.0 + twice) + 1.0))
 
 
 def _read_extensometer(result: Result, probe: Extensometer) -> Reading:
     """Both ends by the shape functions of their cells."""
-    ends = list_samples(probe)
+    ends, dim = list_samples(result, probe), probe.dim
     u = result.at(ends)
     rest, moved = ends[1] - ends[0], u[1] - u[0]
     # L^2 - L0^2 is computed without the difference of two large numbers.
@@ -412,19 +483,19 @@ def _read_extensometer(result: Result, probe: Extensometer) -> Reading:
     length = float(np.linalg.norm(rest + moved))
     along = growth / (length + probe.length) / probe.length
     note = _describe_places(result, locate(result.mesh, ends).cells, u)
-    nothing = np.full((1, 3), np.nan)
-    return Reading(probe, ends.mean(axis=0)[None], np.zeros(1), nothing[:, :2], nothing, np.array([along]), note)
+    return Reading(probe, ends.mean(axis=0)[None], np.zeros(1), np.full((1, dim), np.nan),
+                   np.full((1, len(schema.list_components(dim))), np.nan), np.array([along]), note)
 
 
 def _read_gauge(result: Result, probe: StrainGauge, measure: Measure) -> Reading:
-    """The plane that fits best, by least squares over the rectangle."""
-    points = list_samples(probe)
+    """The linear displacement that fits best, by least squares over the rectangle or the bar."""
+    points = list_samples(result, probe)
     u = result.at(points)
     away = points - np.asarray(probe.centre)
     # The samples lie symmetrically about the centre: the mean and the slopes are found one by one.
     gradient = np.linalg.solve(away.T @ away, away.T @ u).T[None]
     green_lagrange = compute_green_lagrange(gradient)
-    along = _stretch_fibre(green_lagrange, probe.direction)
+    along = _stretch_fibre(green_lagrange, probe.axis)
     strain = compute_infinitesimal(gradient) if measure == "infinitesimal" else green_lagrange
     if measure == "hencky" and np.isfinite(strain).all():
         strain = compute_hencky(green_lagrange)
@@ -449,13 +520,11 @@ def _describe_places(result: Result, cells: IntArray, displacement: Array, more:
 
 def _describe_lines(result: Result, gauge: StrainGauge) -> str:
     """Whether a line across which the displacement jumps runs through a gauge: a plane fits no jump."""
-    along = gauge.direction
-    axes = np.array([along, [-along[1], along[0]]])
     for vertices in get_lines(result):
         for start, end in pairwise(vertices):
             n_places = math.ceil(float(np.linalg.norm(end - start))) + 1
             share = np.linspace(0.0, 1.0, n_places)[:, None]
-            local = (start + share * (end - start) - gauge.centre) @ axes.T
+            local = (start + share * (end - start) - gauge.centre) @ gauge.axes.T
             if (np.abs(local) < [0.5 * gauge.length, 0.5 * gauge.across]).all(axis=1).any():
                 return "a discontinuity runs through it: no strain; an extensometer measures across"
     return ""

@@ -20,17 +20,6 @@ from ddic.plots.canvas import LengthUnit, find_length_unit
 from ddic.probes.metrology import Metrology, estimate_metrology
 from ddic.probes.probes import KINDS, LineProbe, Measure, PointProbe, Probe, Reading, list_samples, measure_probe
 
-COLUMNS = (
-    ("time", ""), ("result", ""), ("probe", ""), ("kind", ""),
-    ("distance", "length"), ("x", "length"), ("y", "length"), ("gauge_length", "length"),
-    ("u_x", "length"), ("u_y", "length"),
-    ("strain_xx", "1"), ("strain_yy", "1"), ("strain_xy", "1"), ("strain_along", "1"),
-    ("noise_u", "length"), ("resolution_u", "length"), ("indicator_u", "area"),
-    ("noise_strain", "1"), ("resolution_strain", "length"), ("indicator_strain", "area"),
-    ("note", ""),
-)
-"""Names of the columns of a table, and what they are measured in."""
-
 N_DIGITS = 9
 """Of numbers in a table: displacements have no more."""
 
@@ -93,7 +82,7 @@ def measure_probes(results: Iterable[Result], probes: Sequence[Probe], measure: 
 
 def _clip_to(result: Result, probe: Probe) -> Result:
     """The cells about a probe; of one that lies in none, all, whose mean spacing is its."""
-    samples = list_samples(probe)
+    samples = list_samples(result, probe)
     near = clip_result(result, samples.min(axis=0), samples.max(axis=0))
     return near if (locate(near.mesh, samples).cells >= 0).any() else result
 
@@ -113,11 +102,22 @@ def write_probe_table(path: Path | str, records: Sequence[ProbeRecord]) -> None:
     InputError
         Where the folder cannot be written to.
     """
-    unit = records[0].unit if records else LengthUnit()
+    unit, dim = (records[0].unit, records[0].reading.probe.dim) if records else (LengthUnit(), 2)
     units = {"length": unit.name, "area": f"{unit.name}^2", "1": "1"}
-    header = [f"{name} [{units[kind]}]" if kind else name for name, kind in COLUMNS]
+    header = [f"{name} [{units[kind]}]" if kind else name for name, kind in _list_probe_columns(dim)]
     with replaced_on_exit(Path(path)) as temporary:
         _write_csv(temporary, header, chain.from_iterable(map(_list_rows, records)))
+
+
+def _list_probe_columns(dim: int) -> list[tuple[str, str]]:
+    """Names of the columns of a table of probes, and what they are measured in."""
+    axes = schema.AXES[:dim]
+    return [("time", ""), ("result", ""), ("probe", ""), ("kind", ""),
+            ("distance", "length"), *((axis, "length") for axis in axes), ("gauge_length", "length"),
+            *((f"u_{axis}", "length") for axis in axes),
+            *((f"strain_{component}", "1") for component in schema.list_components(dim)), ("strain_along", "1"),
+            ("noise_u", "length"), ("resolution_u", "length"), ("indicator_u", "area"),
+            ("noise_strain", "1"), ("resolution_strain", "length"), ("indicator_strain", "area"), ("note", "")]
 
 
 def _write_csv(path: Path, header: Iterable[str], rows: Iterable[Sequence[str]]) -> None:
@@ -194,10 +194,11 @@ def _list_columns(result: Result, what: str, places: Array,
                   data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Columns by their header: number, place, then all fields; numbers of nodes and cells are those of the file."""
     numbers = data[schema.GLOBAL_NODE_ID if what == "node" else schema.GLOBAL_CELL_ID]
-    length_unit = find_length_unit(result).name
+    length_unit, axes = find_length_unit(result).name, schema.AXES[:result.mesh.dim]
     specs = (*schema.point_fields(length_unit), *schema.nodal_strain_fields(), *schema.cell_fields())
     units = {spec.name: spec.unit for spec in specs}
-    columns: dict[str, NDArray[Any]] = {what: numbers, "x [px]": places[:, 0], "y [px]": places[:, 1]}
+    columns: dict[str, NDArray[Any]] = {what: numbers}
+    columns |= {f"{axis} [px]": places[:, k] for k, axis in enumerate(axes)}
     for name, values in data.items():
         if name in (schema.GLOBAL_NODE_ID, schema.GLOBAL_CELL_ID):
             continue
@@ -205,9 +206,10 @@ def _list_columns(result: Result, what: str, places: Array,
         if values.ndim == 1:
             columns[f"{name} [{unit}]"] = values
         elif values.shape[1] == schema.VECTOR:
-            columns |= {f"{name}_{axis} [{unit}]": values[:, k] for k, axis in enumerate("xy")}
+            columns |= {f"{name}_{axis} [{unit}]": values[:, k] for k, axis in enumerate(axes)}
         else:
-            columns |= {f"{name}_{pair} [{unit}]": values[:, k] for pair, k in schema.IN_THE_PLANE.items()}
+            components = schema.list_components(len(axes))
+            columns |= {f"{name}_{component} [{unit}]": values[:, k] for component, k in components.items()}
     return columns
 
 

@@ -114,7 +114,7 @@ def assemble(team: Team, reference: ReferenceProblem, weights: Sequence[float], 
         systems = [LocalSystem(s, m, None, np.zeros(0), 0.0) for s, m in zip(subdomains, projected, strict=True)]
         return Assembly(systems, 0.0, mean_diagonal)
     eta, edge_weight = _weigh_gap(team, section, reference, views)
-    material = build_material(section)
+    material = build_material(section, case.dim)
 
     def set_up(subdomain: Subdomain, hessian: sparse.csr_matrix) -> LocalSystem:
         of_rows = interface_weights(subdomain.multiplicity, case.solver.weighting)

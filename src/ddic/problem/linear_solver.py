@@ -188,6 +188,7 @@ def choose_preconditioner(team: Team, case: Case, subdomains: Sequence[Subdomain
 
 
 def _describe(subdomain: Subdomain) -> str:
-    low, high = subdomain.mesh.nodes.min(axis=0), subdomain.mesh.nodes.max(axis=0)
-    return (f"subdomain {subdomain.index} (columns {low[0]:.0f} to {high[0]:.0f}, "
-            f"rows {low[1]:.0f} to {high[1]:.0f})")
+    nodes = subdomain.mesh.nodes
+    places = (f"{axis} {low:.0f} to {high:.0f}" for axis, low, high
+              in zip(("columns", "rows", "planes"), nodes.min(axis=0), nodes.max(axis=0), strict=False))
+    return f"subdomain {subdomain.index} ({', '.join(places)})"

@@ -437,7 +437,8 @@ def finish_region(team: Team, inputs: Inputs, subdomains: Sequence[Subdomain],
 def _probe_waves(team: Team, section: RegularizationSection, subdomains: Sequence[Subdomain],
                  shorter_side: float) -> ProbeWaves:
     """Plane waves on all subdomains, the same to the last bit on any number of ranks; collective."""
-    wavelength, material = section.cut_off_wavelength or shorter_side / 4, build_material(section)
+    material = build_material(section, subdomains[0].mesh.dim)
+    wavelength = section.cut_off_wavelength or shorter_side / 4
     of_subdomains = team.together(lambda: [sum_wave_forces(s.mesh, material, wavelength) for s in subdomains])
     # By node, of which each copy counts its share.
     at_nodes = sum_shared_nodes(team, subdomains, [forces.reshape(s.mesh.n_nodes, -1)
@@ -448,9 +449,10 @@ def _probe_waves(team: Team, section: RegularizationSection, subdomains: Sequenc
     return ProbeWaves(wavelength, team.ordered_sum(energies).reshape(-1, n_waves).sum(axis=0), material.axes)
 
 
-def build_material(section: RegularizationSection) -> Material:
+def build_material(section: RegularizationSection, dim: int) -> Material:
     """Give the elastic constants of the regularization, with E = 1, or E2 = 1."""
-    return Material(section.poisson_ratio, section.plane, section.young_ratio, section.shear_ratio,
+    plane = section.plane if dim == 2 else None
+    return Material(section.poisson_ratio, plane, section.young_ratio, section.shear_ratio,
                     math.radians(section.material_angle_degrees))
 
 
@@ -497,11 +499,11 @@ def _controlled_nodes(section: RegularizationSection | None, mesh: Mesh, boundar
     return controlled
 
 
-def describe_cut_off(section: RegularizationSection | None) -> HalfAmplitudes | None:
+def describe_cut_off(section: RegularizationSection | None, dim: int) -> HalfAmplitudes | None:
     """Say what a cut-off wavelength means, pixels; None where none is given."""
     if section is None or section.cut_off_wavelength is None:
         return None
     if section.operator == "tikhonov":
         # 1 / (1 + (l_c / l)^2) of a wave of any direction is left.
         return HalfAmplitudes(section.cut_off_wavelength, section.cut_off_wavelength)
-    return find_half_amplitudes(build_material(section), section.cut_off_wavelength)
+    return find_half_amplitudes(build_material(section, dim), section.cut_off_wavelength)

@@ -271,7 +271,7 @@ def _build_regularization(section: RegularizationSection | None, reference: Refe
     wavelength = section.cut_off_wavelength or min(along_x.length, along_y.length) / 4
     waves = build_plane_waves(along_x, along_y, wavelength)
     is_gap = section.operator == "equilibrium_gap"
-    tikhonov, material = build_tikhonov(along_x, along_y), build_material(section)
+    tikhonov, material = build_tikhonov(along_x, along_y), build_material(section, 2)
     energies = (measure_wave_gaps(along_x, along_y, material, waves) if is_gap
                 else measure_wave_gradients(tikhonov, waves))
     weight = find_cut_off_weight(measure_wave_textures(along_x, along_y, waves, reference.sum_texture), energies)
@@ -297,4 +297,4 @@ def _measure_separated_size(team: Team, inputs: Inputs, reference: ReferenceBand
     dynamic_range = max(high for _, high in ranges) - min(low for low, _ in ranges)
     eta = 0.0 if regularization is None else regularization.weight
     return ProblemSize(2 * n_x * n_y, (n_x - 1) * (n_y - 1), int(team.sum(count_usable(reference.bands))), 1,
-                       team.size, 0, dynamic_range, eta, describe_cut_off(inputs.case.regularization))
+                       team.size, 0, dynamic_range, eta, describe_cut_off(inputs.case.regularization, 2))

@@ -101,7 +101,7 @@ class WeightedProblem:
         lowest, highest = zip(*ranges, strict=True)
         return ProblemSize(region.n_field, region.n_cells, self.reference.n_pixels, region.n_subdomains, self.team.size,
                            solver.n_interface, max(highest) - min(lowest), solver.assembly.eta,
-                           describe_cut_off(case.regularization))
+                           describe_cut_off(case.regularization, case.dim))
 
     @property
     def tolerances(self) -> Tolerances:

@@ -24,10 +24,11 @@ from ddic.inputs.cameras import Frame
 from ddic.inputs.inputs import Inputs
 from ddic.io import result_schema as schema
 from ddic.io.image_file import compute_sha256
-from ddic.io.input_file import find_source_commit
+from ddic.io.input_file import FileStamps, Stamp, find_source_commit
 from ddic.io.replace_on_exit import NewFiles
 from ddic.io.result_reader import Result
 from ddic.io.result_writer import ResultWriter
+from ddic.io.volume_file import VolumeFile
 from ddic.parallel.team import Team, require_held
 from ddic.problem.weighted_problem import ProblemSize
 from ddic.results.summary import Summary
@@ -121,19 +122,23 @@ def _collect_versions() -> dict[str, str | int]:
 
 
 @lru_cache(maxsize=8)
-def _compute_checksum(path: Path, size: int, changed: int) -> str:
-    """SHA-256 of a file as long as it stays the same: each frame of a series names the reference image again."""
-    return compute_sha256(path)
+def _compute_checksum(stamps: tuple[tuple[Path, Stamp], ...]) -> str:
+    """SHA-256 of files as long as they stay the same: each frame of a series names the reference image again.
+
+    Of several it is that of the lines that the program sha256sum writes of them.
+    """
+    sums = [(compute_sha256(path), path.name) for path, _ in stamps]
+    lines = "".join(f"{checksum}  {name}\n" for checksum, name in sums)
+    return sums[0][0] if len(sums) == 1 else hashlib.sha256(lines.encode()).hexdigest()
 
 
 def describe_image(name: str, image: ImageSource) -> dict[str, str | int]:
-    """Describe an image by NAME_path, NAME_size and NAME_sha256: of the file's bytes, or of the pixels in memory."""
-    if image.path.is_file():
-        status = image.path.stat()
-        checksum = _compute_checksum(image.path, status.st_size, status.st_mtime_ns)
+    """Describe an image by NAME_path, NAME_size and NAME_sha256: of its files' bytes, or of the pixels in memory."""
+    if image.path.is_file() or isinstance(image, VolumeFile):
+        checksum = _compute_checksum(tuple(FileStamps.take([image.path]).stamps.items()))
     else:
         pixels = image.read(image.extent)
-        checksum = hashlib.sha256(np.ascontiguousarray(pixels).tobytes()).hexdigest()
+        checksum = hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
     return {f"{name}_path": str(image.path), f"{name}_size": "x".join(map(str, image.extent.sizes)),
             f"{name}_sha256": checksum}
 

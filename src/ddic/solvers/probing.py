@@ -182,19 +182,22 @@ MOST_SAMPLES, FEWEST_SAMPLES = 256, 128
 16 px the first leave errors of 0.3, 2 and 5 % of a standard deviation with cut-off wavelengths of 4, 7 and 16 elements,
 the second 0.4 % without (1.3 % of a strain's). Twice as many take twice the time."""
 
-LARGEST_FORCES = 8
-"""Most displacement components of a cell, each with a sequence of signs of its own."""
-
 _SEQUENCES = hadamard(MOST_SAMPLES).astype(np.float64)
 """Signs by sample and sequence, of which any two are orthogonal; the first half of both by themselves, too."""
 
-_ROW_SHIFTS = {MOST_SAMPLES: 7, FEWEST_SAMPLES: 6}
-"""Places by which tiles are shifted from row to row of cells: those alike of 32 are then at least 5.7 cells apart, of
-16 at least 3.6."""
+_SHIFTS = {32: (1, 7), 16: (1, 6), 21: (1, 3, 8), 10: (1, 2, 4)}
+"""Places by which tiles are shifted from cell to cell along each axis, by their number: those alike of 32 are at least
+5.7 cells apart, of 16 at least 3.6; in space, of 21 at least 3, of 10 (Hex8) at least 2.2, which parts the cells around
+a node."""
 
 
 _QUARTERS = np.array([0, 2, 1, 3])
 """Quarters of the tiles by which cells in one place are told apart: parts of cut cells have the whole one's place."""
+
+
+def count_samples(dim: int, *, is_regularized: bool) -> int:
+    """Count the right-hand sides: many in a volume, where fewer would have cells around one node share signs."""
+    return MOST_SAMPLES if is_regularized or dim == 3 else FEWEST_SAMPLES
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,28 +236,28 @@ def prepare_samples(covariances: Array, cell_ids: IntArray, places: IntArray,
     have the same, far apart, are multiplied by signs by chance, which leaves an error of the kind that independent
     samples have.
 
-    ``covariances`` are (n_cells, n, n) with n at most LARGEST_FORCES, ``cell_ids`` the cells' numbers in the whole
-    mesh, ``places`` their columns and rows, counted in cells, (n_cells, 2), ``camera`` its number, for the noise of
-    each is its own, ``n_samples`` MOST_SAMPLES or FEWEST_SAMPLES.
+    ``covariances`` are (n_cells, n, n), ``cell_ids`` the cells' numbers in the whole mesh, ``places`` their columns and
+    rows, counted in cells, (n_cells, dim), ``camera`` its number, for the noise of each is its own, ``n_samples`` as
+    ``count_samples`` counts them.
     """
     values, vectors = np.linalg.eigh(covariances)
     # Rounding may leave eigenvalues of nothing below zero.
     factors = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     n = covariances.shape[1]
     # Cells of other tiles have signs that have nothing to do with each other.
-    n_tiles = n_samples // LARGEST_FORCES
-    tiles = places[:, 0] + _ROW_SHIFTS[n_samples] * places[:, 1] + camera
+    n_tiles = n_samples // n
+    tiles = places @ _SHIFTS[n_tiles] + camera
     # Those next to each other in an irregular mesh go where no near one is.
     tiles = (tiles + n_tiles // 4 * _QUARTERS[_number_within_places(places) % len(_QUARTERS)]) % n_tiles
     columns = np.arange(n)
-    rows = tiles[:, None] * LARGEST_FORCES + columns
-    numbers = cell_ids[:, None] * LARGEST_FORCES + columns
+    rows = tiles[:, None] * n + columns
+    numbers = cell_ids[:, None] * n + columns
     return SampledCells(factors, rows, 1.0 - 2.0 * generate_bits(numbers, camera))
 
 
 def _number_within_places(places: IntArray) -> IntArray:
     """Number of each cell among those with the same place, 0 for the first, (n_cells,)."""
-    order = np.lexsort((np.arange(len(places)), places[:, 0], places[:, 1]))
+    order = np.lexsort((np.arange(len(places)), *places.T))
     begins = np.append(True, (np.diff(places[order], axis=0) != 0).any(axis=1))
     first = np.maximum.accumulate(np.where(begins, np.arange(len(places)), 0))
     numbers = np.empty(len(places), dtype=np.int64)

@@ -125,9 +125,9 @@ class WholeSystem(PetscOwner):
         nodes = [_find_node(subdomain, int(unknown))
                  for subdomain, numbers in zip(self._subdomains, self.numbers, strict=True)
                  for unknown in np.flatnonzero(numbers == number)]
-        x, y = self._team.gather_lists(nodes)[0][:2]
-        place = f"the region around column {x:.0f}, row {y:.0f}"
-        return as_collective(SingularSubdomainError(describe_singular(place)))
+        node = self._team.gather_lists(nodes)[0]
+        place = ", ".join(f"{axis} {at:.0f}" for axis, at in zip(("column", "row", "plane"), node, strict=False))
+        return as_collective(SingularSubdomainError(describe_singular(f"the region around {place}")))
 
     def _find_gap(self, x: Field) -> Field:
         """Kbar x, rows of interfaces complete."""

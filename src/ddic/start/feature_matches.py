@@ -1,6 +1,6 @@
 """Speckles found again by their looks, whatever the rotation, and the displacement that they give.
 
-OpenCV's SIFT finds them; affine maps through a few neighbours tell which of them err, in each piece of a region.
+OpenCV's SIFT finds them in images, balls of blocks stand in for them in volumes; affine maps through a few neighbours tell which of them err, in each piece of a region.
 """
 
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
 from ddic.partition.split import join_pairs
 from ddic.start.binned_pair import BinnedPair
+from ddic.start.matched_blocks import match_blocks
 
 N_FEATURES = 3000
 """Features of the region; as many a block in the whole deformed image. More take longer as their square."""
@@ -50,7 +51,7 @@ class FeatureMatches:
 
     Attributes
     ----------
-    points, displacement : (n, 2) array
+    points, displacement : (n, dim) array
         Places in the reference image, and how they are displaced, pixels.
     pieces : (n,) array of int64
         Piece of the region that each lies in.
@@ -76,6 +77,24 @@ def match_features(pair: BinnedPair, mesh: Mesh, piece_of_cell: IntArray) -> Fea
     ``piece_of_cell``, (n_cells,), says which piece of the region, perhaps cut by lines, each cell is of: displacements
     of one piece say nothing of those of another.
     """
+    find = _match_speckles if pair.dim == 2 else _match_balls
+    places, found, pieces = find(pair, mesh, piece_of_cell)
+    points, displacement = places * pair.factor + pair.centre, found * pair.factor
+    kept = _find_consistent(points, displacement, pieces, LARGEST_MISFIT * pair.factor)
+    return FeatureMatches(points[kept], displacement[kept], pieces[kept], len(points))
+
+
+def _match_balls(pair: BinnedPair, mesh: Mesh, piece_of_cell: IntArray) -> tuple[Array, Array, IntArray]:
+    """Places and displacements, blocks, of parts of a volume, and the piece that each lies in."""
+    numbers = np.unique(piece_of_cell)
+    of_pieces = [match_blocks(pair, mesh.create_submesh(np.flatnonzero(piece_of_cell == piece))[0])
+                 for piece in numbers]
+    places, displacement = (np.concatenate(of_all) for of_all in zip(*of_pieces, strict=True))
+    return places, displacement, np.repeat(numbers, [len(own) for own, _ in of_pieces])
+
+
+def _match_speckles(pair: BinnedPair, mesh: Mesh, piece_of_cell: IntArray) -> tuple[Array, Array, IntArray]:
+    """Places and displacements, blocks, of features of an image, and the piece that each lies in."""
     active = pair.find_active(pair.scale(mesh))
     extent = pair.deformed.extent
     usable = pair.deformed.find_usable(extent)
@@ -83,12 +102,9 @@ def match_features(pair: BinnedPair, mesh: Mesh, piece_of_cell: IntArray) -> Fea
     of_reference = _find_features(pair.reference, active, N_FEATURES)
     of_deformed = _find_features(pair.deformed, usable, n_deformed)
     points, displacement = _match(of_reference, of_deformed)
-    points, displacement = points * pair.factor + pair.centre, displacement * pair.factor
-    cells = locate(mesh, points).cells
+    cells = locate(mesh, points * pair.factor + pair.centre).cells
     inside = cells >= 0
-    points, displacement, pieces = points[inside], displacement[inside], piece_of_cell[cells[inside]]
-    kept = _find_consistent(points, displacement, pieces, LARGEST_MISFIT * pair.factor)
-    return FeatureMatches(points[kept], displacement[kept], pieces[kept], len(points))
+    return points[inside], displacement[inside], piece_of_cell[cells[inside]]
 
 
 _Features = tuple[Array, NDArray[np.float32]]

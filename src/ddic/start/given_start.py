@@ -135,8 +135,8 @@ def load_given_start(section: StartSection, dim: int) -> GivenStart | None:
     if section.from_result is not None:
         result, name = read_frame_or_last(section.from_result, section.frame, "start.frame =")
         if result.mesh.dim != dim:
-            raise InputError(f"start.from_result = {section.from_result}: a field in {result.mesh.dim} dimensions, of a "
-                             f"case in {dim}; start from another result")
+            raise InputError(f"start.from_result = {section.from_result}: a field in {result.mesh.dim} dimensions, the "
+                             f"case has {dim}; start from another result")
         require_known_displacement(result)
         return keep_displacement(result, name)
     return load_start_points(section, dim)

@@ -2,7 +2,9 @@
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from functools import reduce
+from operator import mul
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,16 +13,18 @@ from ddic.arrays import Array
 from ddic.errors import InputError
 
 Pair = tuple[float, float]
+Vector = tuple[float, ...]
+"""A number for each axis, x, y and, in space, z."""
 
 
 class DisplacementField(Protocol):
-    """A displacement known at every point of the plane, in the reference configuration."""
+    """A displacement known at every point of the plane, d = 2, or of space, d = 3, in the reference configuration."""
 
     def displacement(self, points: Array) -> Array:
-        """Evaluate the displacement u, (n, 2), at points (n, 2), both in pixels."""
+        """Evaluate the displacement u, (n, d), at points (n, d), both in pixels."""
 
     def gradient(self, points: Array) -> Array:
-        """Evaluate the gradient du_i/dx_j, (n, 2, 2), no unit, at points (n, 2), pixels."""
+        """Evaluate the gradient du_i/dx_j, (n, d, d), no unit, at points (n, d), pixels."""
 
 
 def require_finite(field: str, **values: float | tuple[float, ...]) -> None:
@@ -28,6 +32,14 @@ def require_finite(field: str, **values: float | tuple[float, ...]) -> None:
     for key, value in values.items():
         if not np.isfinite(value).all():
             raise InputError(f"{field}: {key} = {value}: must be finite")
+
+
+def _require_vectors(field: str, **values: tuple[Any, ...]) -> None:
+    """Check that parameters are finite, and all have a number for each of two or three axes; else raises InputError."""
+    require_finite(field, **values)
+    sizes = {len(value) for value in values.values()}
+    if sizes not in ({2}, {3}):
+        raise InputError(f"{field}: {', '.join(values)}: must have a number for each axis, two in all or three in all")
 
 
 def _require_poisson_ratio(field: str, value: float) -> None:
@@ -42,14 +54,14 @@ class Translation:
 
     Attributes
     ----------
-    vector : (float, float)
-        (u_x, u_y), pixels.
+    vector : tuple of float
+        (u_x, u_y), in space (u_x, u_y, u_z), pixels.
     """
 
-    vector: Pair = (0.0, 0.0)
+    vector: Vector = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        require_finite("translation", vector=self.vector)
+        _require_vectors("translation", vector=self.vector)
 
     def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
@@ -57,7 +69,7 @@ class Translation:
 
     def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
-        return np.zeros((len(points), 2, 2))
+        return np.zeros((*points.shape, len(self.vector)))
 
 
 @dataclass(frozen=True)
@@ -66,21 +78,21 @@ class Affine:
 
     Attributes
     ----------
-    matrix : ((float, float), (float, float))
-        ((du_x/dx, du_x/dy), (du_y/dx, du_y/dy)), no unit.
-    vector : (float, float)
+    matrix : tuple of tuple of float
+        Rows of du_i/dx_j, ((du_x/dx, du_x/dy), (du_y/dx, du_y/dy)), in space three of three, no unit.
+    vector : tuple of float
         Displacement of the centre, pixels.
-    center : (float, float)
+    center : tuple of float
         Pixels.
     """
 
-    matrix: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
-    vector: Pair = (0.0, 0.0)
-    center: Pair = (0.0, 0.0)
+    matrix: tuple[Vector, ...] = ((0.0, 0.0), (0.0, 0.0))
+    vector: Vector = (0.0, 0.0)
+    center: Vector = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        require_finite("affine", matrix=self.matrix[0] + self.matrix[1], vector=self.vector,
-                       center=self.center)
+        rows = {f"matrix[{k}]": row for k, row in enumerate(self.matrix)}
+        _require_vectors("affine", matrix=self.matrix, vector=self.vector, center=self.center, **rows)
 
     def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
@@ -88,70 +100,78 @@ class Affine:
 
     def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
-        return np.broadcast_to(np.array(self.matrix, dtype=np.float64), (len(points), 2, 2)).copy()
+        return np.broadcast_to(np.array(self.matrix, dtype=np.float64), (*points.shape, len(self.matrix))).copy()
 
 
 @dataclass(frozen=True)
 class Sinusoidal:
-    """Waves in both directions; the default values are the field that all accuracy figures are measured with.
+    """Waves along all axes; the default values are the field that all accuracy figures in the plane are measured with.
 
     u_x = offset_x + amplitude_x sin(2 pi x / wavelength_x[0] + phase_x[0])
                                  cos(2 pi y / wavelength_x[1] + phase_x[1])
     u_y = offset_y + amplitude_y cos(2 pi x / wavelength_y[0] + phase_y[0])
                                  sin(2 pi y / wavelength_y[1] + phase_y[1])
 
+    In space each component has a third factor, a cosine along z, and u_z its sine there and two cosines.
+
     Attributes
     ----------
-    offset, amplitude : (float, float)
-        Of u_x and of u_y, pixels.
-    wavelength_x, wavelength_y : (float, float)
-        Of u_x and of u_y, each along x and along y, pixels.
-    phase_x, phase_y : (float, float)
+    offset, amplitude : tuple of float
+        Of each component, pixels.
+    wavelength_x, wavelength_y, wavelength_z : tuple of float
+        Of each component, along each axis, pixels; of u_z in space alone.
+    phase_x, phase_y, phase_z : tuple of float
         Likewise, radians.
     """
 
-    offset: Pair = (0.35, -0.25)
-    amplitude: Pair = (0.60, 0.50)
-    wavelength_x: Pair = (1024.0, 1280.0)
-    wavelength_y: Pair = (1280.0, 1024.0)
-    phase_x: Pair = (0.3, -0.2)
-    phase_y: Pair = (-0.7, 0.5)
+    offset: Vector = (0.35, -0.25)
+    amplitude: Vector = (0.60, 0.50)
+    wavelength_x: Vector = (1024.0, 1280.0)
+    wavelength_y: Vector = (1280.0, 1024.0)
+    phase_x: Vector = (0.3, -0.2)
+    phase_y: Vector = (-0.7, 0.5)
+    wavelength_z: Vector | None = None
+    phase_z: Vector | None = None
 
     def __post_init__(self) -> None:
-        require_finite("sinusoidal", offset=self.offset, amplitude=self.amplitude, phase_x=self.phase_x,
-                       phase_y=self.phase_y, wavelength_x=self.wavelength_x, wavelength_y=self.wavelength_y)
-        for key in ("wavelength_x", "wavelength_y"):
-            if min(getattr(self, key)) <= 0:
-                raise InputError(f"sinusoidal: {key} = {getattr(self, key)}: must be positive")
+        given = {key: value for key, value in vars(self).items() if value is not None}
+        _require_vectors("sinusoidal", **given)
+        if len(given) != 2 + 2 * len(self.offset):
+            raise InputError("sinusoidal: wavelength_z, phase_z: give both where there are three axes, and neither "
+                             "where there are two")
+        for key, value in given.items():
+            if key.startswith("wavelength") and min(value) <= 0:
+                raise InputError(f"sinusoidal: {key} = {value}: must be positive")
 
     def displacement(self, points: Array) -> Array:
         """Evaluate the displacement u."""
         u = np.empty_like(points)
-        angle_x, angle_y = _angles(points, self.wavelength_x, self.phase_x)
-        u[:, 0] = self.offset[0] + self.amplitude[0] * np.sin(angle_x) * np.cos(angle_y)
-        angle_x, angle_y = _angles(points, self.wavelength_y, self.phase_y)
-        u[:, 1] = self.offset[1] + self.amplitude[1] * np.cos(angle_x) * np.sin(angle_y)
+        for i, (offset, amplitude) in enumerate(zip(self.offset, self.amplitude, strict=True)):
+            waves = (np.sin(angle) if j == i else np.cos(angle) for j, angle in enumerate(self._angles(points, i)))
+            u[:, i] = offset + reduce(mul, waves, amplitude)
         return u
 
     def gradient(self, points: Array) -> Array:
         """Evaluate the gradient du_i/dx_j."""
-        grad = np.empty((len(points), 2, 2))
-        a, b = _angles(points, self.wavelength_x, self.phase_x)
-        factor = 2 * np.pi * self.amplitude[0] / np.array(self.wavelength_x)
-        grad[:, 0, 0] = factor[0] * np.cos(a) * np.cos(b)
-        grad[:, 0, 1] = -factor[1] * np.sin(a) * np.sin(b)
-        a, b = _angles(points, self.wavelength_y, self.phase_y)
-        factor = 2 * np.pi * self.amplitude[1] / np.array(self.wavelength_y)
-        grad[:, 1, 0] = -factor[0] * np.sin(a) * np.sin(b)
-        grad[:, 1, 1] = factor[1] * np.cos(a) * np.cos(b)
+        grad = np.empty((*points.shape, len(self.offset)))
+        for i, amplitude in enumerate(self.amplitude):
+            angles = self._angles(points, i)
+            for j, wavelength in enumerate(self._of(i, "wavelength")):
+                # Along j sine and cosine have changed places, and the slope of a cosine is negative.
+                factors = (np.sin(angle) if (k == i) != (k == j) else np.cos(angle) for k, angle in enumerate(angles))
+                sign = 1 if j == i else -1
+                grad[:, i, j] = reduce(mul, factors, sign * 2 * np.pi * amplitude / wavelength)
         return grad
 
+    def _of(self, i: int, key: str) -> Vector:
+        """Wavelengths or phases of component ``i`` along each axis."""
+        values: Vector = getattr(self, f"{key}_{'xyz'[i]}")
+        return values
 
-def _angles(points: Array, wavelength: Pair, phase: Pair) -> tuple[Array, Array]:
-    """Arguments of the waves along x and along y at points (n, 2), each (n,), radians."""
-    along_x = points[:, 0] * (2 * np.pi / wavelength[0]) + phase[0]
-    along_y = points[:, 1] * (2 * np.pi / wavelength[1]) + phase[1]
-    return along_x, along_y
+    def _angles(self, points: Array, i: int) -> list[Array]:
+        """Arguments of the waves of component ``i`` along each axis at points (n, d), each (n,), radians."""
+        return [x * (2 * np.pi / wavelength) + phase for x, wavelength, phase in zip(
+            points.T, self._of(i, "wavelength"), self._of(i, "phase"), strict=True)]
 
 
 @dataclass(frozen=True)

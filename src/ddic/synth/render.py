@@ -3,6 +3,9 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import reduce
+from itertools import product
+from operator import add, mul
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,7 +16,7 @@ from ddic.arrays import Array
 from ddic.errors import ConvergenceError, InputError
 from ddic.images.window import Window
 from ddic.io.replace_on_exit import NewFiles, begin_files
-from ddic.synth.fields import DisplacementField, Hole, Pair
+from ddic.synth.fields import DisplacementField, Hole, Vector
 from ddic.synth.speckle import SpeckleTexture, TwoScaleTexture
 
 # Distance of u(y - v) from v at which the iteration stops, px; a larger one blurs the truth of a pair.
@@ -26,7 +29,7 @@ _FAST = 0.01
 
 
 def find_reference_points(field: DisplacementField, points: Array) -> Array:
-    """Solve x + u(x) = y for x (n, 2) at deformed points y (n, 2), pixels.
+    """Solve x + u(x) = y for x (n, d) at deformed points y (n, d), pixels.
 
     Newton's method on the displacement v = y - x, stopped when |u(y - v) - v| <= 1e-12 px (or four roundings of the
     largest displacement, where that is more) at all points. Raises InputError where the field folds the plane (det(I +
@@ -44,26 +47,35 @@ def find_reference_points(field: DisplacementField, points: Array) -> Array:
             return x
         if inverse is None or largest > _FAST * previous:
             inverse = _inverse_of_motion(field.gradient(x), x)
-        v[:, 0] += inverse[0] * residual[:, 0] + inverse[1] * residual[:, 1]
-        v[:, 1] += inverse[2] * residual[:, 0] + inverse[3] * residual[:, 1]
+        for i, row in enumerate(inverse):
+            v[:, i] += reduce(add, map(mul, row, residual.T))
         previous = largest
     worst = int(np.argmax(np.abs(residual).max(axis=1)))
     raise ConvergenceError(
-        f"the motion x + u(x) could not be inverted at ({points[worst, 0]:g}, {points[worst, 1]:g}) px: "
+        f"the motion x + u(x) could not be inverted at {_describe_point(points[worst])} px: "
         f"{np.abs(residual[worst]).max():.1e} px left after {_MAX_ITERATIONS} iterations; "
         "use a smoother displacement field")
 
 
-def _inverse_of_motion(gradient: Array, x: Array) -> tuple[ Array, Array, Array, Array]:
-    """Entries 00, 01, 10, 11 of (I + grad u)^-1 at x (n, 2), each (n,)."""
-    a, b = 1 + gradient[:, 0, 0], gradient[:, 0, 1]
-    c, d = gradient[:, 1, 0], 1 + gradient[:, 1, 1]
-    determinant = a * d - b * c
+def _inverse_of_motion(gradient: Array, x: Array) -> list[list[Array]]:
+    """Rows of (I + grad u)^-1 at x (n, d), of d entries (n,) each."""
+    n_axes = x.shape[1]
+    motion = [[gradient[:, i, j] + (i == j) for j in range(n_axes)] for i in range(n_axes)]
+    if n_axes == 2:
+        (a, b), (c, d) = motion
+        adjugate = [[d, -b], [-c, a]]
+    else:
+        adjugate = [[motion[i - 2][j - 2] * motion[i - 1][j - 1] - motion[i - 2][j - 1] * motion[i - 1][j - 2]
+                     for i in range(3)] for j in range(3)]
+    determinant = reduce(add, map(mul, motion[0], (row[0] for row in adjugate)))
     if not (determinant > 0).all():
-        folded = x[np.argmin(determinant)]
-        raise InputError(f"displacement field: folds the image near ({folded[0]:g}, {folded[1]:g}) px, "
+        raise InputError(f"displacement field: folds the image near {_describe_point(x[np.argmin(determinant)])} px, "
                          "det(I + grad u) <= 0; use a smaller amplitude or a larger wavelength")
-    return d / determinant, -b / determinant, -c / determinant, a / determinant
+    return [[entry / determinant for entry in row] for row in adjugate]
+
+
+def _describe_point(point: Array) -> str:
+    return f"({', '.join(f'{x:g}' for x in point)})"
 
 
 Stored = NDArray[Any]
@@ -134,25 +146,35 @@ class Picture:
         Pixels, at least 1.
     digitiser : Digitiser
         From grey levels to stored values; 8 bit without noise where it is left out.
+    depth : int, optional
+        Of a volume, pixels, at least 1.
     """
 
     width: int
     height: int
     digitiser: Digitiser = field(default_factory=Digitiser)
+    depth: int | None = None
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise InputError(f"image: size = {self.width}x{self.height}: must be at least 1x1 pixels")
+        sizes = self.extent.sizes
+        if min(sizes) < 1:
+            least = "x".join("1" * len(sizes))
+            raise InputError(f"image: size = {'x'.join(map(str, sizes))}: must be at least {least} pixels")
 
     @property
-    def middle(self) -> Pair:
+    def extent(self) -> Window:
+        """All its pixels."""
+        return Window.of_size(self.width, self.height, *(() if self.depth is None else (self.depth,)))
+
+    @property
+    def middle(self) -> Vector:
         """Position of the picture's centre, pixels."""
-        return (self.width - 1) / 2, (self.height - 1) / 2
+        return tuple((size - 1) / 2 for size in self.extent.sizes)
 
 
-# Images are made square by square: temporary arrays stay in cache and memory does not grow with the image.
-# The noise is drawn square by square too, so this number is part of what a seed means.
-_SQUARE = 256
+# Images are made square by square, and volumes cube by cube: temporary arrays stay in cache and memory does not grow
+# with the image. The noise is drawn so too: these sides, by d, are part of what a seed means.
+_SIDES = {2: 256, 3: 32}
 
 
 @dataclass(frozen=True)
@@ -161,7 +183,7 @@ class ImagePair:
 
     Attributes
     ----------
-    reference, deformed : (height, width) array
+    reference, deformed : (height, width) or (depth, height, width) array
         Stored grey levels: uint8, uint16 or float32.
     """
 
@@ -173,10 +195,10 @@ class Pictured(Protocol):
     """What a camera sees before and after the motion, at any point of its picture."""
 
     def reference_grey(self, points: Array) -> Array:
-        """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
+        """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, d), pixels."""
 
     def deformed_grey(self, points: Array) -> Array:
-        """Evaluate the grey level g after the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
+        """Evaluate the grey level g after the motion, (n,) fractions of full scale, at points (n, d), pixels."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +208,7 @@ class Scene:
     Attributes
     ----------
     texture : SpeckleTexture or TwoScaleTexture
-        Paint of the plane.
+        Paint of the plane, or grain of the volume.
     field : DisplacementField
         Its motion.
     hole : Hole, optional
@@ -198,10 +220,9 @@ class Scene:
     hole: Hole | None = None
 
     def reference_grey(self, points: Array) -> Array:
-        """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, 2), pixels."""
-        x, y = points.T
-        grey = self.texture.grey(x, y)
-        return grey if self.hole is None else self.hole.cut(grey, x, y)
+        """Evaluate the grey level f before the motion, (n,) fractions of full scale, at points (n, d), pixels."""
+        grey = self.texture.grey(*points.T)
+        return grey if self.hole is None else self.hole.cut(grey, *points.T)
 
     def deformed_grey(self, points: Array) -> Array:
         """Evaluate the grey level g after the motion at points y: f at the solution x of x + u(x) = y."""
@@ -224,6 +245,8 @@ def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stre
                files: NewFiles | None = None) -> None:
     """Write the images of ``render_pair``, reference first, to two uncompressed TIFF files, one band in memory.
 
+    A volume is a page for each z, one after the other without a gap, so that the file can be mapped into memory.
+
     The noise is independent in the two: ``stream`` is that of the reference image, the next one that of the deformed
     image. They take their names with ``files``; by default the two do so by themselves. Raises InputError for a field
     that folds the plane or a folder that cannot be written to, no half-written file staying; OSError where the disk
@@ -231,21 +254,22 @@ def write_pair(paths: tuple[Path, Path], scene: Pictured, picture: Picture, stre
     """
     with begin_files(files) as new:
         reference, deformed = (_create_tiff(new.begin(path), picture) for path in paths)
-        first_rows = range(0, picture.height, _SQUARE)
-        for row, band in zip(first_rows, _bands(scene, picture, stream), strict=True):
+        row = 0
+        for band in _bands(scene, picture, stream):
             reference.fill(row, band.reference)
             deformed.fill(row, band.deformed)
+            row += len(band.reference)
 
 
 @dataclass(frozen=True)
 class _EmptyTiff:
-    """A TIFF file whose header and size are final; its rows lie one after the other from ``offset``."""
+    """A TIFF file whose header and size are final; its rows, or pages, lie one after the other from ``offset``."""
 
     path: Path
     offset: int
 
     def fill(self, row: int, band: Stored) -> None:
-        """Write whole rows, the first of which is ``row``."""
+        """Write whole rows, or pages, the first of which is ``row``."""
         with self.path.open("r+b") as file:
             file.seek(self.offset + row * band[0].nbytes)
             file.write(band.tobytes())
@@ -255,30 +279,28 @@ def _create_tiff(path: Path, picture: Picture) -> _EmptyTiff:
     """Make a file of the picture's size and type."""
     import tifffile
 
-    shape = (picture.height, picture.width)
-    pixels = tifffile.memmap(path, shape=shape, dtype=picture.digitiser.dtype, photometric="minisblack", metadata=None)
+    pixels = tifffile.memmap(path, shape=picture.extent.shape, dtype=picture.digitiser.dtype,
+                             photometric="minisblack", metadata=None)
     return _EmptyTiff(path, int(pixels.offset))
 
 
 def _bands(scene: Pictured, picture: Picture, stream: int) -> Iterator[ImagePair]:
-    """Bands of both images from top to bottom, each a row of squares."""
-    for y0 in range(0, picture.height, _SQUARE):
-        y1 = min(y0 + _SQUARE, picture.height)
-        squares = []
-        for x0 in range(0, picture.width, _SQUARE):
-            window = Window((x0, y0), (min(x0 + _SQUARE, picture.width), y1))
-            squares.append(_render_square(scene, picture, window, stream))
-        reference = np.concatenate([square.reference for square in squares], axis=1)
-        deformed = np.concatenate([square.deformed for square in squares], axis=1)
-        yield ImagePair(reference, deformed)
+    """Bands of both images from top to bottom, each a row of squares; slabs of volumes, each a layer of cubes."""
+    n_axes = len(picture.extent.sizes)
+    side = _SIDES[n_axes]
+    for band in picture.extent.split_rows(side):
+        pair = ImagePair(*(np.empty(band.shape, dtype=picture.digitiser.dtype) for _ in range(2)))
+        for lower in product(*(range(first, end, side) for first, end in zip(band.lower, band.upper, strict=True))):
+            square = Window(lower, tuple(first + side for first in lower)).intersection(band)
+            part = _render_square(scene, picture, square, stream)
+            pair.reference[band.locate(square)] = part.reference
+            pair.deformed[band.locate(square)] = part.deformed
+        yield pair
 
 
 def _render_square(scene: Pictured, picture: Picture, window: Window, stream: int) -> ImagePair:
     """Both images in a window."""
-    x, y = np.meshgrid(np.arange(window.x0, window.x1), np.arange(window.y0, window.y1))
-    points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
-    reference = scene.reference_grey(points).reshape(x.shape)
-    deformed = scene.deformed_grey(points).reshape(x.shape)
-    store = picture.digitiser.store
-    return ImagePair(store(reference, (stream, window.x0, window.y0)),
-                     store(deformed, (stream + 1, window.x0, window.y0)))
+    points = np.indices(window.shape).reshape(len(window.shape), -1)[::-1].T + np.array(window.lower, dtype=np.float64)
+    greys = scene.reference_grey(points), scene.deformed_grey(points)
+    return ImagePair(*(picture.digitiser.store(grey.reshape(window.shape), (stream + k, *window.lower))
+                       for k, grey in enumerate(greys)))

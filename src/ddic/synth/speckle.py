@@ -1,4 +1,7 @@
-"""The speckle texture: a sum of Gaussians at random over the whole plane, known at any point; also of two scales."""
+"""The speckle texture: a sum of Gaussians at random over the whole plane or space, known at any point.
+
+Also one of two scales, in the plane.
+"""
 
 import math
 from collections.abc import Iterator
@@ -11,30 +14,36 @@ from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
 from ddic.synth import speckle_kernels as kernels
 
-_MEAN_SIGMA_SQUARED = (
-    kernels.SIGMA_MIN**2 + kernels.SIGMA_MIN * kernels.SIGMA_MAX + kernels.SIGMA_MAX**2) / 3
-_MEAN_AMPLITUDE = (kernels.AMPLITUDE_MIN + kernels.AMPLITUDE_MAX) / 2
-_MEAN_AMPLITUDE_SQUARED = (
-    kernels.AMPLITUDE_MIN**2 + kernels.AMPLITUDE_MIN * kernels.AMPLITUDE_MAX + kernels.AMPLITUDE_MAX**2) / 3
 
-# Campbell's theorem for a sum of independent Gaussians at the points of a Poisson process.
-RAW_MEAN = kernels.DENSITY * _MEAN_AMPLITUDE * 2 * math.pi * _MEAN_SIGMA_SQUARED
-RAW_DEVIATION = math.sqrt(kernels.DENSITY * _MEAN_AMPLITUDE_SQUARED * math.pi * _MEAN_SIGMA_SQUARED)
+def _average_power(low: float, high: float, power: int) -> float:
+    """Mean of a power of a number that is uniform between two."""
+    return sum(low ** (power - k) * high**k for k in range(power + 1)) / (power + 1)
+
+
+def compute_moments(n_axes: int) -> tuple[float, float]:
+    """Compute mean and standard deviation of the sum of speckles, by Campbell's theorem for points of a Poisson process."""
+    size = _average_power(kernels.SIGMA_MIN, kernels.SIGMA_MAX, n_axes)
+    mean, square = (_average_power(kernels.AMPLITUDE_MIN, kernels.AMPLITUDE_MAX, power) for power in (1, 2))
+    density = kernels.DENSITY[n_axes]
+    return density * mean * (2 * math.pi) ** (n_axes / 2) * size, math.sqrt(
+        density * square * math.pi ** (n_axes / 2) * size)
+
+
 TEXTURE_DEVIATION = 0.6
 """Standard deviation of s; more drives grey levels towards the ends of the scale."""
 
 FARTHEST = 1e9
 """Texture units from the origin beyond which no speckle is drawn: far out numbers of cells would not be whole."""
 
-# Area whose speckles are drawn at once, and side of the tiles that a larger one is cut into, texture units: more
-# draw fewer speckles twice, and hold more of them.
+# Area or volume whose speckles are drawn at once, and side of the tiles that a larger one is cut into, by d, texture
+# units: more draw fewer speckles twice, and hold more of them.
 _LARGEST_BLOCK = 2048.0**2
-_TILE = 512.0
+_TILE = {2: 512.0, 3: 64.0}
 
 
 @dataclass(frozen=True)
 class SpeckleTexture:
-    """Speckles at random over the whole plane; a picture of any size is a window of the same texture.
+    """Speckles at random over the whole plane and space; a picture of any size is a window of the same texture.
 
     Raises InputError for a seed out of range or a factor that is not positive.
 
@@ -43,7 +52,7 @@ class SpeckleTexture:
     seed : int
         Fixes every speckle, 0 <= seed < 2^64.
     size_factor : float
-        Magnification; 1 has 0.08 speckles per px^2 with standard deviations of 1.3 to 1.6 px.
+        Magnification; 1 has 0.08 speckles per px^2, or 0.0219 per px^3, with standard deviations of 1.3 to 1.6 px.
     """
 
     seed: int = 0
@@ -55,38 +64,38 @@ class SpeckleTexture:
         if not (self.size_factor > 0 and math.isfinite(self.size_factor)):
             raise InputError(f"texture: size_factor = {self.size_factor}: must be positive")
 
-    def evaluate(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Evaluate the texture s, of mean 0 and standard deviation 0.6, at points of any common shape, pixels.
+    def evaluate(self, *coordinates: ArrayLike) -> Array:
+        """Evaluate the texture s, of mean 0 and standard deviation 0.6, at points x, y (and z) of any common shape, pixels.
 
         The speckles' tails that are cut sum to less than 1e-7. Raises InputError if a coordinate is not finite, or too
         far away.
         """
-        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        flat_x, flat_y = x.ravel() / self.size_factor, y.ravel() / self.size_factor
-        if not (np.isfinite(flat_x).all() and np.isfinite(flat_y).all()):
+        given = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in coordinates))
+        points = tuple(x.ravel() / self.size_factor for x in given)
+        if not all(np.isfinite(x).all() for x in points):
             raise InputError("texture: coordinates must be finite")
-        if max(np.abs(flat_x).max(initial=0.0), np.abs(flat_y).max(initial=0.0)) > FARTHEST:
+        if max(np.abs(x).max(initial=0.0) for x in points) > FARTHEST:
             raise InputError(f"texture: a point lies more than {FARTHEST:g} px away, where no speckles are drawn; give "
                              "a smaller displacement")
-        raw = np.empty(x.size)
-        for chosen in _compact_groups(flat_x, flat_y):
-            raw[chosen] = self._sum_of_speckles(flat_x[chosen], flat_y[chosen])
-        scaled = (raw - RAW_MEAN) * (TEXTURE_DEVIATION / RAW_DEVIATION)
-        return scaled.reshape(x.shape)
+        raw = np.empty(given[0].size)
+        for chosen in _compact_groups(points):
+            raw[chosen] = self._sum_of_speckles(tuple(x[chosen] for x in points))
+        mean, deviation = compute_moments(len(points))
+        scaled = (raw - mean) * (TEXTURE_DEVIATION / deviation)
+        return scaled.reshape(given[0].shape)
 
-    def grey(self, x: ArrayLike, y: ArrayLike) -> Array:
+    def grey(self, *coordinates: ArrayLike) -> Array:
         """Evaluate the grey level 0.5 - 0.45 tanh s, a fraction of full scale, at points of any shape, pixels."""
-        return np.asarray(0.5 - 0.45 * np.tanh(self.evaluate(x, y)))
+        return np.asarray(0.5 - 0.45 * np.tanh(self.evaluate(*coordinates)))
 
-    def _sum_of_speckles(self, x: Array, y: Array) -> Array:
-        """Sum of Gaussians at points x, y (n,) in texture units, drawing the cells of their bounding box."""
-        column0, n_columns = _cells_in_reach(x)
-        row0, n_rows = _cells_in_reach(y)
-        cells = kernels.CellBlock(row0, column0, n_rows, n_columns)
+    def _sum_of_speckles(self, points: tuple[Array, ...]) -> Array:
+        """Sum of Gaussians at points, (n,) by axis, in texture units, drawing the cells of their bounding box."""
+        lower, sizes = zip(*map(_cells_in_reach, points), strict=True)
+        cells = kernels.CellBlock(lower, sizes)
         seed = np.uint64(self.seed)
         starts = kernels.count_speckles(seed, cells)
         speckles = kernels.draw_speckles(seed, cells, starts)
-        return np.asarray(kernels.sum_speckles(x, y, cells, starts, speckles))
+        return np.asarray(kernels.sum_speckles(points, cells, starts, speckles))
 
 
 def _cells_in_reach(coordinates: Array) -> tuple[int, int]:
@@ -96,17 +105,16 @@ def _cells_in_reach(coordinates: Array) -> tuple[int, int]:
     return first, last - first + 1
 
 
-def _compact_groups(x: Array, y: Array) -> Iterator[slice | IntArray]:
-    """Split points x, y (n,) into groups whose bounding boxes are small enough to draw at once."""
-    if len(x) == 0:
+def _compact_groups(points: tuple[Array, ...]) -> Iterator[slice | IntArray]:
+    """Split points, (n,) by axis, into groups whose bounding boxes are small enough to draw at once."""
+    if len(points[0]) == 0:
         return
-    if (np.ptp(x) + 1.0) * (np.ptp(y) + 1.0) <= _LARGEST_BLOCK:
+    if math.prod(np.ptp(x) + 1.0 for x in points) <= _LARGEST_BLOCK:
         yield slice(None)
         return
-    columns = np.floor(x / _TILE).astype(np.int64)
-    rows = np.floor(y / _TILE).astype(np.int64)
-    order = np.lexsort((columns, rows))
-    new_tile = (np.diff(columns[order]) != 0) | (np.diff(rows[order]) != 0)
+    tiles = np.floor(np.stack(points) / _TILE[len(points)]).astype(np.int64)
+    order = np.lexsort(tiles)
+    new_tile = (np.diff(tiles[:, order]) != 0).any(axis=0)
     yield from np.split(order, np.flatnonzero(new_tile) + 1)
 
 

@@ -26,7 +26,7 @@ _NAMES = {kind: name for name, kind in _FIELDS.items()}
 
 def describe_pair(scene: Scene, picture: Picture) -> dict[str, Any]:
     """Describe all that made a pair as JSON holds it: a truth file's record; InputError for a field of one's own."""
-    size = {"width": picture.width, "height": picture.height}
+    size = dict(zip(("width", "height", "depth"), picture.extent.sizes, strict=False))
     return {
         "format": _FORMAT,
         "version": _VERSION,
@@ -67,7 +67,7 @@ def _describe(field: DisplacementField) -> dict[str, Any]:
     if isinstance(field, Sum):
         return {"name": name, "terms": [_describe(term) for term in field.terms]}
     values = {item.name: getattr(field, item.name) for item in dataclasses.fields(_FIELDS[name])}
-    return {"name": name, **values}
+    return {"name": name, **{key: value for key, value in values.items() if value is not None}}
 
 
 def _rebuild(path: Path, description: object) -> DisplacementField:

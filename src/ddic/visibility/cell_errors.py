@@ -54,6 +54,8 @@ class CellResiduals:
 
     Attributes
     ----------
+    dim : int
+        Of their mesh.
     camera : int
         That measures them.
     n_pixels : (n_cells,) array
@@ -64,6 +66,7 @@ class CellResiduals:
         Mean of |grad f|^2, grey levels squared per pixel squared.
     """
 
+    dim: int
     camera: int
     n_pixels: Array
     variance: Array
@@ -79,7 +82,7 @@ def measure_cell_residuals(view: View, hessian: sparse.csr_matrix, residual: Res
     _, squares = sums.sum_residual(*sums.fit_gain_and_offset())
     n = sums.n_pixels
     variance = np.where(n > 0, np.maximum(squares, 0.0) / np.maximum(n, 1.0), np.nan)
-    return CellResiduals(view.camera, n, variance, _measure_gradients(view, hessian))
+    return CellResiduals(view.correlation.mesh.dim, view.camera, n, variance, _measure_gradients(view, hessian))
 
 
 def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
@@ -88,7 +91,7 @@ def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
     # Spread evenly over the nodes of each cell.
     pixels = sum_about_nodes(mesh, view.count_pixels() / np.diff(mesh.offsets))
     energy = np.zeros(mesh.n_nodes)
-    for axis in range(2):
+    for axis in range(mesh.dim):
         translation = np.zeros(mesh.nodes.shape)
         translation[:, axis] = 1.0
         energy += (hessian @ translation.ravel()).reshape(mesh.nodes.shape)[:, axis]
@@ -100,8 +103,8 @@ def _measure_gradients(view: View, hessian: sparse.csr_matrix) -> Array:
 def find_cell_errors(team: Team, residuals: Sequence[CellResiduals]) -> list[CellErrors]:
     """Express residuals as displacement errors, and mark cells that cannot be trusted; collective.
 
-    An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / 2. Most pixels are
-    taken to be right: the median of each camera's variances, cells weighted by their pixels, is that of the noise.
+    An error e of unknown direction leaves a residual grad f . e, of mean square |grad f|^2 e^2 / dim. Most pixels
+    are taken to be right: the median of each camera's variances, cells weighted by their pixels, is that of the noise.
     """
     noise = []
     # A rank may have none: PGD-DIC's cells are all on rank 0.
@@ -118,7 +121,7 @@ def _find_errors(cells: CellResiduals, noise: float) -> CellErrors:
     excess = np.maximum(cells.variance - noise, 0.0)
     # Nothing was seen where there is no texture; a residual there is as wrong as can be.
     with np.errstate(divide="ignore", invalid="ignore"):
-        equivalent = np.where(excess > 0, np.sqrt(2.0 * excess / cells.texture), cells.variance * 0.0)
+        equivalent = np.where(excess > 0, np.sqrt(cells.dim * excess / cells.texture), cells.variance * 0.0)
     spread = noise * np.sqrt(2.0 / np.maximum(cells.n_pixels, 1.0))
     doubtful = (equivalent > DOUBTFUL_PX) & (excess > SIGNIFICANT * spread)
     return CellErrors(equivalent, doubtful | (cells.n_pixels == 0))
@@ -229,17 +232,16 @@ def describe_exclusions(team: Team, marked: Sequence[MarkedCells], n_cells: int,
 
 
 def bound_cells(mesh: Mesh, chosen: BoolArray) -> tuple[Array, IntArray]:
-    """Of some cells: first and last column, first and last row, (n, 4), pixels; and their nodes, (n, 4)."""
+    """Bound some cells: lower and upper corners of their boxes, (n, 2, dim), pixels; and their nodes, (n, n_corners)."""
     nodes = pad_cells(mesh)[chosen]
     corners = mesh.nodes[nodes]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    return np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]]), nodes
+    return np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1), nodes
 
 
 def describe_places(boxes: Array, corners: IntArray) -> str:
     """Name the places that cells make which share nodes, the largest first.
 
-    The cells' boxes, (n, 4), are first and last column, first and last row, pixels; ``corners``, (n, 4), their nodes.
+    The cells' boxes, (n, 2, dim), are as ``bound_cells`` gives them, and so are the nodes, ``corners``.
     """
     _, nodes = np.unique(corners, return_inverse=True)
     cells = np.repeat(np.arange(len(boxes)), corners.shape[1])
@@ -250,9 +252,9 @@ def describe_places(boxes: Array, corners: IntArray) -> str:
     members = np.bincount(place, minlength=n_places)
     named = []
     for k in np.argsort(-members, kind="stable")[:MOST_PLACES]:
-        of_place = boxes[place == k]
-        named.append(f"columns {of_place[:, 0].min():.0f} to {of_place[:, 1].max():.0f}, rows "
-                     f"{of_place[:, 2].min():.0f} to {of_place[:, 3].max():.0f}")
+        low, high = boxes[place == k, 0].min(axis=0), boxes[place == k, 1].max(axis=0)
+        named.append(", ".join(f"{lines} {first:.0f} to {last:.0f}" for lines, first, last in
+                               zip(("columns", "rows", "slices"), low, high, strict=False)))
     if n_places > MOST_PLACES:
         named.append(f"{n_places - MOST_PLACES} more places")
     return "; ".join(named)

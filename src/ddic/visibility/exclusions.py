@@ -238,8 +238,9 @@ def _find_view_exclusions(seen: _SeenView, rules: Rules) -> tuple[NDArray[np.uin
     pulled are cells that are seen so far away that their grey levels say nothing of the way.
     """
     states = _judge_by_pixels(seen, rules)
-    stands_out = find_standing_out(seen.cells, seen.typical, rules.limits.cell)
-    may_be_spoilt = find_standing_out(seen.cells, seen.typical, rules.limits.searched)
+    dim = seen.view.correlation.mesh.dim
+    stands_out = find_standing_out(seen.cells, seen.typical, rules.limits.cell, dim)
+    may_be_spoilt = find_standing_out(seen.cells, seen.typical, rules.limits.searched, dim)
     suspicious = np.flatnonzero((stands_out | may_be_spoilt) & (states == KEPT))
     # Without mechanics nothing is held off: what stands out is a mesh that cannot follow, or foreign.
     found = find_cells_beside(seen.view, seen.q, suspicious, seen.typical.noise) if rules.is_regularized else {}
@@ -247,7 +248,7 @@ def _find_view_exclusions(seen: _SeenView, rules: Rules) -> tuple[NDArray[np.uin
     beside = np.array(list(found), dtype=np.int64)
     states[stands_out & (states == KEPT)] = SPOILT
     states[beside] = np.where(stands_out[beside], HELD_OFF, KEPT)
-    spots = [np.zeros((0, seen.view.correlation.mesh.dim), dtype=np.int64)]
+    spots = [np.zeros((0, dim), dtype=np.int64)]
     for cell, pixels, share in _search_cells(seen, rules, np.setdiff1d(suspicious, beside)):
         if share <= MOST_SPOILT:
             states[cell] = KEPT
@@ -381,7 +382,7 @@ def _choose_limits(team: Team, views: Sequence[_SeenView], limits: Limits) -> Li
     """Choose no limits where too much stands out at a start; raise where too much does later."""
     counts = np.zeros(2)
     for seen in views:
-        stands_out = find_standing_out(seen.cells, seen.typical, limits.cell)
+        stands_out = find_standing_out(seen.cells, seen.typical, limits.cell, seen.view.correlation.mesh.dim)
         counts += seen.cells.n_pixels.sum(), seen.cells.n_pixels[stands_out].sum()
     n_pixels, n_standing_out = team.sum(counts)
     if limits is AT_START and n_standing_out > START_SHARE * n_pixels:

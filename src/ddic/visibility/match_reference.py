@@ -117,11 +117,11 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
     if not len(sloping):
         return view
     image = correlation.reference
-    removed = np.zeros(image.values.shape, dtype=np.float32)
+    removed = np.zeros(image.window.shape, dtype=np.float32)
     pixels, cells = list_pixels(correlation.raster, sloping)
     located = place_in_cells(mesh, cells, pixels.astype(np.float64))
     at_pixels = interpolate_located(mesh, light[:, None], located)[:, 0]
-    removed[pixels[:, 1] - image.window.y0, pixels[:, 0] - image.window.x0] = at_pixels
+    removed[image.window.index(pixels)] = at_pixels
     return replace(view, correlation=replace(correlation, reference=image.correct_light(removed)))
 
 
@@ -175,8 +175,10 @@ def match_sharpness(whole: ResidualModel, cameras: Sequence[Camera], q: Sequence
     """Blur the reference images as much as the frame is, with notes for the log; collective.
 
     ``whole`` is of all pixels that the frame shows, ``q`` where it is thought to show them, ``typical`` at q. A sharp
-    frame leaves the model as it is.
+    frame leaves the model as it is, and so does one of volumes, which nothing smears along one direction.
     """
+    if whole.subdomains[0].mesh.dim == 3:
+        return whole, ()
     blurs: dict[int, Blur] = {}
     for camera in cameras:
         of_most = typical[camera.number]

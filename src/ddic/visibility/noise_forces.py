@@ -28,9 +28,9 @@ from ddic.errors import InputError, as_collective
 from ddic.functionals.correlation import Residual
 from ddic.functionals.noise_transfer import build_transfer, build_white_transfer, correlate_slopes, find_cell_transfer
 from ddic.functionals.view import FrameView, View
-from ddic.images.noise import BLOCK, NOISE_OF_SLOPE, estimate_rest_noise
+from ddic.images.noise import BLOCKS, NOISE_OF_SLOPE, estimate_rest_noise
 from ddic.images.window import Window
-from ddic.io.image_file import hold_image
+from ddic.io.volume_file import hold_source
 from ddic.mesh.quality import measure_covered_areas
 from ddic.parallel.distribution import find_quantile_of_all
 from ddic.parallel.field import ByView, Field, add_views
@@ -38,7 +38,7 @@ from ddic.parallel.team import Team
 from ddic.partition.subdomain import Subdomain
 from ddic.problem.residual_model import Evaluation, ResidualModel
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.solvers.probing import FEWEST_SAMPLES, MOST_SAMPLES, SampledCells, prepare_samples
+from ddic.solvers.probing import SampledCells, count_samples, prepare_samples
 
 GIVEN, OF_REST, OF_RESIDUAL = "given", "of the images at rest", "estimated from the residual"
 
@@ -52,12 +52,13 @@ MOST_CELLS = 1000
 LEAST_TEXTURE = 0.2
 """Share of M that is taken for texture at least: where nearly all of it is noise, nothing is measured."""
 
-REGULARIZED = 0.75
+REGULARIZED = {2: 0.75, 3: 0.625}
 """Power of 1 / theta by which a regularized field errs more: modes longer than l_c err by 1 / theta, shorter ones not
-at all, and over the plane the integral of k dk / (theta + k^4)^2 goes with theta^-3/2."""
+at all, and the integral of k^(dim - 1) dk / (theta + k^4)^2 goes with theta^(dim/4 - 2)."""
 
-OF_SHAPES = 0.56
-"""Share of the unknowns that quadrangles are determined by which is not their cells' translation."""
+OF_SHAPES = {2: 0.56, 3: 0.71}
+"""Share of the unknowns that quadrangles and hexahedra are determined by which is not their cells' translation: 0.44
+and its power of 3/2 are."""
 
 FEW_FREE = 20.0
 """Components of forces that tell as much as the expectation that a residual is white: by so many v is known to 30 %."""
@@ -106,7 +107,7 @@ def measure_force_noise(model: ResidualModel, evaluation: Evaluation, q: Field, 
     hold it are no noise. Where it is not given, forces that move a cell as a whole are left out, in which most of it
     is.
     """
-    team, state = model.team, evaluation.grey[0]
+    team, state, dim = model.team, evaluation.grey[0], model.subdomains[0].mesh.dim
     n_cells = team.sum(sum(subdomain.mesh.n_cells for subdomain in model.subdomains))
     stride = n_cells // MOST_CELLS + 1
     is_biased = is_regularized and bias is None
@@ -125,20 +126,21 @@ def measure_force_noise(model: ResidualModel, evaluation: Evaluation, q: Field, 
         if bias is not None:
             at_corners = own.kinematics.displacement(bias[place])[correlation.interpolation.cell_dofs[cells]]
             forces = forces + np.einsum("eij,ej->ei", hessians, at_corners)
-        translations = hessians.reshape(-1, 4, 2, 4, 2).sum(axis=(1, 3))
+        n_corners = hessians.shape[1] // dim
+        translations = hessians.reshape(-1, n_corners, dim, n_corners, dim).sum(axis=(1, 3))
         energies, ranks = _measure_energies(hessians, forces, translations if is_biased else None)
         degree, n = own.deformed.degree, of_cells.n_pixels[cells]
-        transfers = find_cell_transfer(build_white_transfer(degree), own, q_s, cells)[:, 0]
+        transfers = find_cell_transfer(build_white_transfer(degree, dim), own, q_s, cells)[:, 0]
         gains = np.broadcast_to(gain, len(of_cells.n_pixels))[cells]
         _, squares = of_cells.sum_residual(gain, offset)
         variances = squares[cells] / n
         weights = 1.0 / (variances + typical)
         return np.array([weights @ energies, weights @ (variances * ranks), weights @ variances, len(n), n.sum(),
-                         translations.trace(axis1=1, axis2=2).sum(), 2.0 * NOISE_OF_SLOPE[degree] * n.sum(),
+                         translations.trace(axis1=1, axis2=2).sum(), dim * NOISE_OF_SLOPE[degree] * n.sum(),
                          n @ (gains**2 * transfers)])
 
     sums = _Sums(*team.ordered_sum(team.together(lambda: [add_up(place) for place in range(len(q))])))
-    taken = n_determined / n_cells * (OF_SHAPES if is_biased else 1.0)
+    taken = n_determined / n_cells * (OF_SHAPES[dim] if is_biased else 1.0)
     n_free = max(sums.ranks - taken * sums.variances, 0.0)
     # Where so few are free that chance rules them the residual counts as white.
     white = FEW_FREE * sums.variances / max(sums.n_cells, 1.0)
@@ -147,7 +149,7 @@ def measure_force_noise(model: ResidualModel, evaluation: Evaluation, q: Field, 
     of_reference = variance / (1.0 + sums.transfer / max(sums.n_pixels, 1.0))
     of_noise = of_reference * sums.noise_of_slopes / max(sums.slopes, TINY)
     texture = float(np.clip(1.0 - of_noise, LEAST_TEXTURE, 1.0))
-    power = REGULARIZED if is_regularized else 1.0
+    power = REGULARIZED[dim] if is_regularized else 1.0
     return ForceNoise(float(excess), float(variance), texture, texture**-power)
 
 
@@ -171,16 +173,17 @@ class _Sums(NamedTuple):
 
 
 def _measure_energies(hessians: Array, forces: Array, translations: Array | None) -> tuple[Array, Array]:
-    """b_e^T M_e^-1 b_e and rank M_e, (n,), of translations, (n, 2, 2), without what moves cells as a whole."""
+    """b_e^T M_e^-1 b_e and rank M_e, (n,), of translations, (n, dim, dim), without what moves cells as a whole."""
     values, vectors = np.linalg.eigh(hessians)
     is_held = values > SINGULAR * values[:, -1:]
     along = np.einsum("eji,ej->ei", vectors, forces)
     energies = np.divide(along**2, values, out=np.zeros_like(values), where=is_held).sum(axis=1)
     ranks = is_held.sum(axis=1)
     if translations is not None:
-        whole = forces.reshape(-1, 4, 2).sum(axis=1)
+        dim = translations.shape[1]
+        whole = forces.reshape(len(forces), -1, dim).sum(axis=1)
         energies -= np.einsum("ei,ei->e", whole, (np.linalg.pinv(translations) @ whole[..., None])[..., 0])
-        ranks = np.maximum(ranks - 2, 0)
+        ranks = np.maximum(ranks - dim, 0)
     return energies, ranks
 
 
@@ -262,7 +265,7 @@ def prepare_residual_forces(model: ResidualModel, evaluation: Evaluation, q: Fie
 
 def _sample(model: ResidualModel, covariances: ByView[Array], case: Case, transfer: float) -> NoiseForces:
     """Right-hand sides whose covariance is given cell by cell, for each view; collective."""
-    n_samples = FEWEST_SAMPLES if case.regularization is None else MOST_SAMPLES
+    n_samples = count_samples(model.subdomains[0].mesh.dim, is_regularized=case.regularization is not None)
     places = place_cells(model.team, model.subdomains)
 
     def prepare(view: FrameView, of_view: Array, subdomain: Subdomain, of_cells: IntArray) -> SampledCells:
@@ -273,7 +276,7 @@ def _sample(model: ResidualModel, covariances: ByView[Array], case: Case, transf
 
 
 def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
-    """Tell each cell's column and row of cells, (n_cells, 2), as in a regular mesh of as many cells; collective.
+    """Tell each cell's column and row of cells, (n_cells, dim), as in a regular mesh of as many cells; collective.
 
     The parts of a cut cell have that of the whole one: elsewhere they would meet another cell's.
     """
@@ -282,7 +285,7 @@ def place_cells(team: Team, subdomains: Sequence[Subdomain]) -> list[IntArray]:
                                       for s in subdomains])
     middles = [s.mesh.centroids if s.mesh.parts is None else replace(s.mesh, parts=None).centroids for s in subdomains]
     lowest = np.min([of_cells.min(axis=0) for of_cells in middles], axis=0)
-    first, size = -team.maximum(-lowest), np.sqrt(area / n_cells)
+    first, size = -team.maximum(-lowest), (area / n_cells) ** (1 / len(lowest))
     # The cells of a regular mesh lie in the middle of their places: rounding decides nothing.
     return [np.floor((of_cells - first) / size + 0.5).astype(np.int64) for of_cells in middles]
 
@@ -335,7 +338,7 @@ def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Fiel
     degree is 3 or 5; the median over cells passes over those where the field does not follow the specimen. It is a
     standard deviation, grey levels; 0 where no pixel counts.
     """
-    found, table = [], build_white_transfer(degree)
+    found, table = [], build_white_transfer(degree, model.subdomains[0].mesh.dim)
     for (view, *_), (own, *_), q_s in zip(model.views, evaluation.residuals, q, strict=True):
         transfer = find_cell_transfer(table, view, q_s)[:, 0]
         gain, offset = model.find_correction(evaluation, 0, own)
@@ -358,8 +361,9 @@ def _measure_at_rest(problem: WeightedProblem, path: Path) -> float:
     nodes = np.concatenate([s.mesh.nodes for s in problem.reference.subdomains])
     low, high = -team.maximum(-nodes.min(axis=0)), team.maximum(nodes.max(axis=0))
     window = Window.between(low.astype(int), high.astype(int)).intersection(reference.extent)
-    noise = team.on_root(lambda: estimate_rest_noise(reference, hold_image(path), window))
+    noise = team.on_root(lambda: estimate_rest_noise(reference, hold_source(path, len(low)), window))
     if not np.isfinite(noise):
-        raise as_collective(InputError(f"images.at_rest: {path}: the mesh covers fewer than {BLOCK} x {BLOCK} px, from "
-                                       "which no noise can be told; give images.noise"))
+        least = " x ".join([str(BLOCKS[len(low)])] * len(low))
+        raise as_collective(InputError(f"images.at_rest: {path}: the mesh covers fewer than {least} px, from which no "
+                                       "noise can be told; give images.noise"))
     return noise

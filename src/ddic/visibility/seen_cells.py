@@ -207,22 +207,22 @@ def find_blank(cells: SeenCells, typical: TypicalCell) -> BoolArray:
     return np.asarray(is_weak & (cells.coefficient < CORRELATED) & (cells.n_pixels >= FEWEST_PIXELS))
 
 
-def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float) -> BoolArray:
+def find_standing_out(seen: SeenCells, typical: TypicalCell, limit: float, dim: int) -> BoolArray:
     """Find the cells of a view that show pixels and stand out, (n_cells,).
 
     ``limit`` is the error of the displacement whose residual is believed, pixels; inf where any residual is.
     """
-    is_off = _find_off(seen, typical, limit)
+    is_off = _find_off(seen, typical, limit, dim)
     if np.isfinite(limit):
         is_off |= _find_other_speckle(seen, typical)
     return np.asarray(is_off & (seen.n_pixels > 0))
 
 
-def _find_off(seen: SeenCells, typical: TypicalCell, limit: float) -> BoolArray:
+def _find_off(seen: SeenCells, typical: TypicalCell, limit: float, dim: int) -> BoolArray:
     """Cells with the residual of a larger error of the displacement, beyond chance."""
     texture = np.maximum(seen.texture, max(WEAK_TEXTURE * typical.texture, TINY))
-    # What an error leaves: |grad f|^2 error^2, halved since the error has any direction.
-    is_large = seen.unexplained - typical.noise > 0.5 * texture * limit**2
+    # What an error of any direction leaves.
+    is_large = seen.unexplained - typical.noise > texture * limit**2 / dim
     n = np.maximum(seen.n_pixels, 1.0)
     # Wilson and Hilferty's bound of a sum of n squares: few pixels vary more than a normal distribution says.
     by_chance = (1.0 - 2.0 / (9.0 * n) + SIGNIFICANT * np.sqrt(2.0 / (9.0 * n)))**3

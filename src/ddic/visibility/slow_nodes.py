@@ -155,5 +155,7 @@ def _take_to_nodes(system: LocalSystem, diagonal: Array) -> Array:
 def _sum_squared_shapes(mesh: Mesh, views: Sequence[FrameView]) -> Array:
     """Sum of the squared shape function of each node over the pixels about it, (n_nodes, 1), cameras weighted."""
     of_cells = np.sum([view.weight * view.correlation.raster.pixel_counts for view in views], axis=0)
-    # Its mean over a quadrangle is 1/9, over a triangle 1/6.
-    return sum_about_nodes(mesh, of_cells / np.where(np.diff(mesh.offsets) == 3, 6.0, 9.0))[:, None]
+    parts = np.empty(mesh.n_cells)
+    for block in mesh.cell_blocks:
+        parts[block.cells] = block.type.parts_of_squared_shape
+    return sum_about_nodes(mesh, of_cells / parts)[:, None]

@@ -127,7 +127,7 @@ def _see_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, limits:
         corrected = {camera: replace(of_camera, gain=1.0, offset=0.0) for camera, of_camera in typical.items()}
     # They correlate and do not stand out.
     is_shown = whole.views.map(lambda view, cells: (cells.coefficient > SAME_SPECKLE)
-                               & ~find_standing_out(cells, corrected[view.camera], SHOWN), seen)
+                               & ~find_standing_out(cells, corrected[view.camera], SHOWN, case.dim), seen)
     if case.correlation.spoilt_pixels == "keep":
         excluded = Exclusions.of_reference(whole.views)
     else:
