@@ -132,8 +132,9 @@ def write_metaimage(path: Path, array: NDArray[Any], spacing: str = "2 2 2") -> 
     """A header with the numbers in a file beside it, big-endian."""
     sizes = " ".join(map(str, array.shape[::-1]))
     element = {"uint16": "MET_USHORT", "int16": "MET_SHORT", "uint8": "MET_UCHAR"}[array.dtype.name]
-    path.write_text(f"ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = True\nDimSize = {sizes}\n"
-                    f"ElementSpacing = {spacing}\nElementType = {element}\nElementDataFile = {path.stem}.zraw\n")
+    path.write_text("ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = True\n"
+                    f"DimSize = {sizes}\nElementSpacing = {spacing}\nElementType = {element}\n"
+                    f"ElementDataFile = {path.stem}.zraw\n")
     path.with_suffix(".zraw").write_bytes(array.astype(array.dtype.newbyteorder(">")).tobytes())
     return path
 
@@ -158,9 +159,10 @@ def write_dicom(folder: Path, array: NDArray[Any], step: float = 0.5, without: i
             (8, 0x16, "UI", "1.2.840.10008.5.1.4.1.1.2"), (8, 0x18, "UI", f"1.2.3.{number + 1}"), (8, 0x60, "CS", "CT"),
             (0x20, 0xD, "UI", "1.2.3"), (0x20, 0xE, "UI", "1.2.4"), (0x20, 0x13, "IS", str(number)),
             (0x20, 0x32, "DS", f"0\\0\\{step * number}"), (0x20, 0x37, "DS", "1\\0\\0\\0\\1\\0"),
-            (0x20, 0x52, "UI", "1.2.5"), (0x28, 2, "US", 1), (0x28, 4, "CS", "MONOCHROME2"), (0x28, 0x10, "US", plane.shape[0]),
-            (0x28, 0x11, "US", plane.shape[1]), (0x28, 0x30, "DS", "0.5\\0.5"), (0x28, 0x100, "US", 16),
-            (0x28, 0x101, "US", 16), (0x28, 0x102, "US", 15), (0x28, 0x103, "US", int(plane.dtype.kind == "i"))]
+            (0x20, 0x52, "UI", "1.2.5"), (0x28, 2, "US", 1), (0x28, 4, "CS", "MONOCHROME2"),
+            (0x28, 0x10, "US", plane.shape[0]), (0x28, 0x11, "US", plane.shape[1]), (0x28, 0x30, "DS", "0.5\\0.5"),
+            (0x28, 0x100, "US", 16), (0x28, 0x101, "US", 16), (0x28, 0x102, "US", 15),
+            (0x28, 0x103, "US", int(plane.dtype.kind == "i"))]
         syntax = _element(2, 0x10, "UI", "1.2.840.10008.1.2.1")
         pixels = struct.pack("<HH2sHI", 0x7FE0, 0x10, b"OW", 0, plane.nbytes) + plane.tobytes()
         (folder / f"im{len(array) - number}.dcm").write_bytes(
@@ -259,7 +261,8 @@ def test_every_box_of_every_format_is_that_of_the_whole(opened: ImageSource, box
 def test_all_types_keep_their_values(tmp_path: Path, dtype: str) -> None:
     array = voxels(dtype)
     paths = [write_raw(tmp_path / "a.raw", array, "big"), save(tmp_path / "a.npy", array),
-             write_tiff(tmp_path / "a.tif", array), write_hdf5(tmp_path / "a.h5", array.astype(f">{array.dtype.str[1:]}"))]
+             write_tiff(tmp_path / "a.tif", array),
+             write_hdf5(tmp_path / "a.h5", array.astype(array.dtype.newbyteorder(">")))]
     for path in paths:
         source = hold_source(path, 3)
         read = source.read(source.extent)
@@ -331,7 +334,8 @@ def test_snow_is_read_as_tifffile_reads_it(real_data: Path) -> None:
 
 def test_a_file_that_shrinks_while_it_is_in_use_is_an_error_and_no_signal(tmp_path: Path) -> None:
     for path in (write_raw(tmp_path / "a.raw", voxels()), save(tmp_path / "a.npy", voxels()),
-                 write_tiff(tmp_path / "a.tif", voxels()), write_tiff(tmp_path / "b.tif", voxels(), compression="zlib")):
+                 write_tiff(tmp_path / "a.tif", voxels()),
+                 write_tiff(tmp_path / "b.tif", voxels(), compression="zlib")):
         source = hold_source(path, 3)
         os.truncate(path, path.stat().st_size // 2)
         with pytest.raises(InputError, match=rf"{path.name}: (cannot be read|damaged)"):
@@ -422,7 +426,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "text": (lambda f: with_text(f / "a.txt", "no volume"), r"a\.txt: no volume; give a TIFF file of many pages"),
     "no sidecar": (lambda f: with_text(f / "a.raw", "0" * 99),
                    r"a\.raw: no volume; .* a file a\.raw\.toml that says shape = \[x, y, z\] and type = \"uint16\""),
-    "image": (lambda f: (cv2.imwrite(str(f / "a.png"), voxels()[0]), f / "a.png")[1], r"a\.png: no volume; .*its slices"),
+    "image": (lambda f: write_slices(f / "s", voxels(), ".png") / "slice_5.png", r"slice_5\.png: no volume; .*slices"),
     "raw cut": (lambda f: cut(write_raw(f / "a.raw", voxels())),
                 r"a\.raw: 13 x 11 x 7 voxels of uint16 after 0 bytes make a file of 2002 bytes, but it has 1801"),
     "raw long": (lambda f: with_sidecar(f, shape=[13, 11, 6]), r"a\.raw: .* a file of 1716 bytes, but it has 2002"),
@@ -435,12 +439,13 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "unknown key": (lambda f: with_sidecar(f, spacing=[1, 1, 1]), r"a\.raw\.toml: shape, type, .* alone expected"),
     "no toml": (lambda f: with_key(f, "order ="), r"a\.raw\.toml: not valid TOML"),
     "npy of two axes": (lambda f: save(f / "a.npy", voxels()[0]), r"a\.npy: an array of shape \(11, 13\), \(z, y, x\)"),
-    "npy of fortran": (lambda f: save(f / "a.npy", np.asfortranarray(voxels())), r"in Fortran's order.*ascontiguousarray"),
+    "npy of fortran": (lambda f: save(f / "a.npy", np.asfortranarray(voxels())), r"Fortran's order.*ascontiguousarray"),
     "npy complex": (lambda f: save(f / "a.npy", voxels().astype(complex)), r"a\.npy: values of type complex128"),
     "npy of objects": (lambda f: save(f / "a.npy", voxels().astype(object)), r"a\.npy: no volume that can be read"),
     "npy cut": (lambda f: cut(save(f / "a.npy", voxels())), r"a\.npy: no volume that can be read, or damaged"),
     "tiff cut": (lambda f: cut(write_tiff(f / "a.tif", voxels())), r"a\.tif: (cut short|damaged)"),
-    "tiff deflated cut": (lambda f: cut(write_tiff(f / "a.tif", voxels(), compression="zlib")), r"a\.tif: (cut short|dama)"),
+    "tiff deflated cut": (lambda f: cut(write_tiff(f / "a.tif", voxels(), compression="zlib")),
+                          r"a\.tif: (cut short|damaged)"),
     "imagej cut": (lambda f: cut(write_large_imagej(f / "a.tif", voxels()), 0.5),
                    r"a\.tif: one page, or a stack cut short"),
     "stack cut": (lambda f: cut(write_tiff(f / "a.tif", voxels(), truncate=True), 0.5),
@@ -469,7 +474,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
                     r"a\.h5: 2 arrays of axes z, y, x \(entry/data \(7, 11, 13\), entry/mask .*FILE::entry/data"),
     "hdf5 without that": (lambda f: Path(f"{write_hdf5(f / 'a.h5', voxels())}::dta"),
                           r"a\.h5::dta: there is no dta in a\.h5; it holds entry"),
-    "hdf5 of channels": (lambda f: write_hdf5(f / "a.h5", np.stack([voxels()] * 2)), r"a\.h5: 0 arrays of axes z, y, x"),
+    "hdf5 of channels": (lambda f: write_hdf5(f / "a.h5", np.stack([voxels()] * 2)), r"a\.h5: 0 arrays of axes z, y"),
     "hdf5 of flat voxels": (lambda f: with_sides(f / "a.h5"), r"a\.h5: voxels of 1 x 1 x 2 by its header"),
     "hdf5 cut": (lambda f: cut(write_hdf5(f / "a.h5", voxels())), r"a\.h5: no volume that can be read, or damaged"),
     "hdf5 complex": (lambda f: write_hdf5(f / "a.h5", voxels().astype(complex)), r"values of type complex128"),
@@ -490,11 +495,13 @@ REFUSED_BY_EXTRAS: dict[str, tuple[str, Callable[[Path], Path], str]] = {
                             r"a\.zarr: voxels of 1 x 1 x 3 by its header"),
     "zarr without that": ("zarr", lambda f: Path(f"{write_zarr_3(f / 'a.zarr', voxels())}::dta"),
                           r"a\.zarr::dta: there is no dta in a\.zarr; it holds scan"),
-    "zarr chunk cut": ("zarr", lambda f: _cut_last_chunk(write_zarr_2(f / "a.zarr", voxels())), r"a\.zarr: cannot be read"),
+    "zarr chunk cut": ("zarr", lambda f: _cut_last_chunk(write_zarr_2(f / "a.zarr", voxels())),
+                       r"a\.zarr: cannot be read"),
     "nrrd cut": ("SimpleITK", lambda f: cut(write_nrrd(f / "a.nrrd", voxels())), r"a\.nrrd: cannot be read, damaged"),
     "nrrd of flat voxels": ("SimpleITK", lambda f: write_nrrd(f / "a.nrrd", voxels(), spacings="1 1 2.5"),
                             r"a\.nrrd: voxels of 1 x 1 x 2\.5 by its header"),
-    "metaimage cut": ("SimpleITK", lambda f: _cut_voxels(write_metaimage(f / "a.mhd", voxels())), r"a\.mhd: cannot be read"),
+    "metaimage cut": ("SimpleITK", lambda f: _cut_voxels(write_metaimage(f / "a.mhd", voxels())),
+                      r"a\.mhd: cannot be read"),
     "metaimage alone": ("SimpleITK", lambda f: _remove_voxels(write_metaimage(f / "a.mhd", voxels())),
                         r"a\.mhd: (cannot be read|no volume)"),
     "itk text": ("SimpleITK", lambda f: with_text(f / "a.mha", "no volume"), r"a\.mha: no volume that can be read"),

@@ -51,3 +51,13 @@ def test_principal_values_are_eigenvalues_and_a_pulled_bar_has_its_strain() -> N
 
 def test_a_length_that_vanishes_has_no_logarithm() -> None:
     assert np.isnan(compute_hencky(np.array([[-0.6, 0.0, 0.0]]))[0, 0])
+
+
+@pytest.mark.parametrize("n_components", [3, 6])
+def test_where_nothing_is_known_nothing_is_said_and_elsewhere_all(n_components: int) -> None:
+    strains = np.random.default_rng(1).uniform(-0.1, 0.1, (5, n_components))
+    strains[3, 1] = np.nan
+    for measure in (compute_hencky, find_principal_strains, compute_von_mises_strain):
+        found = measure(strains)
+        assert np.isnan(found[3]).all()
+        np.testing.assert_array_equal(np.delete(found, 3, axis=0), measure(np.delete(strains, 3, axis=0)))

@@ -31,7 +31,7 @@ ANY_MESH = st.one_of(grid_meshes(), delaunay_meshes(), lattice_meshes())
 
 def pixels_of(raster: Raster) -> list[set[tuple[int, int]]]:
     """Pixels (x, y) of each cell."""
-    rows = raster.rows
+    rows = raster.rows[:, 0]
     return [{(x, int(rows[r])) for r in range(raster.row_ptr[e], raster.row_ptr[e + 1])
              for x in range(raster.starts[r], raster.stops[r])} for e in range(len(raster.first_row))]
 

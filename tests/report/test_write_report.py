@@ -248,7 +248,7 @@ def test_worst_places_are_the_worst_and_lie_apart(folder: Path) -> None:
     assert [place.residual_rms for place in places[:2]] == [50.0, 45.0]
     assert places[0].verdict == "excluded: it shows something else than the reference"
     assert places[1].verdict.startswith("doubtful")
-    centres = np.array([[place.x, place.y] for place in places])
+    centres = np.array([place.position for place in places])
     apart = np.linalg.norm(centres[:, None] - centres, axis=2)[np.triu_indices(len(centres), 1)]
     assert apart.min() >= 0.08 * np.hypot(176.0, 176.0)
 

@@ -34,8 +34,7 @@ class _Unread:
     """An image that must not be read."""
 
     path: Path = Path("unread")
-    width: int = 192
-    height: int = 192
+    extent: Window = Window.of_size(192, 192)
     saturation: float | None = None
 
     def read(self, window: Window) -> NoReturn:

@@ -38,7 +38,7 @@ T = TypeVar("T")
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     # 22 cells of 16 blocks of 2 px: 3 x 3 tiles.
-    monkeypatch.setattr(level, "TILE", 8)
+    monkeypatch.setitem(level.TILE, 2, 8)
 
 
 def _images(mask: np.ndarray | None = None) -> tuple[MaskedSource, MaskedSource]:
@@ -117,7 +117,7 @@ def test_a_tile_that_does_not_converge_says_so_on_any_rank() -> None:
 
 
 def test_several_ranks_go_on_to_finer_levels_than_one_would(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binned_pair, "LARGEST_COARSE_IMAGE", 1600)
+    monkeypatch.setitem(binned_pair.LARGEST_COARSE_IMAGE, 2, 1600)
     monkeypatch.setattr(binned_pair, "FINEST", 4)
     monkeypatch.setattr(multilevel, "LARGEST_WHOLE", 1600)
     mesh = square_mesh(8.0, 792.0)
@@ -134,9 +134,9 @@ def test_several_ranks_go_on_to_finer_levels_than_one_would(monkeypatch: pytest.
 
 @pytest.mark.parametrize("side", [600, 1000, 5000, 9000, 22000, 31700, 100_000])
 def test_blocks_of_every_level_are_made_of_those_that_ranks_hold(side: int) -> None:
-    sizes = choose_block_sizes(side**2, square_mesh(0.0, float(side), side / 2))
+    sizes = choose_block_sizes((side, side), square_mesh(0.0, float(side), side / 2))
     sizes += choose_further_block_sizes(sizes)
-    held = choose_held_block(side**2)
+    held = choose_held_block((side, side))
     assert [size % held for size in sizes] == [0] * len(sizes)
     # From 64 Mpx on one rank would stop at larger blocks.
     assert sizes[-1] == (8 if side > 5000 else 2 * held if held == 1 else held)

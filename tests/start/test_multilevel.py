@@ -11,9 +11,9 @@ import pytest
 from ddic.case.schema import StartSection
 from ddic.images.rigid import build_uniform_field
 from ddic.kinematics.enriched import Discontinuities
-from ddic.mesh.structured import build_structured_mesh
+from ddic.mesh.structured import build_grid_lines, build_structured_mesh
 from ddic.parallel.team import require_held
-from ddic.start.binned_pair import BinnedPair, choose_block_sizes
+from ddic.start.binned_pair import CELLS, LARGEST_COARSE_IMAGE, BinnedPair, choose_block_sizes
 from ddic.start.multilevel import SURE, MultilevelStart, Pyramid, correlate_level, find_multilevel_start
 from ddic.synth.fields import Affine, DisplacementField, Translation
 from support.pictures import pair_of, rms_error, source, square_mesh
@@ -141,18 +141,20 @@ def test_images_without_texture_give_a_still_start_and_say_so() -> None:
     assert start.rigid == ()
     assert start.levels == ()
     assert "no rigid translation stands out" in start.warnings[0]
-    assert len(start.warnings) == 1 + len(choose_block_sizes(SIDE**2, MESH))
+    assert len(start.warnings) == 1 + len(choose_block_sizes((SIDE, SIDE), MESH))
     assert all("was left out" in line for line in start.warnings[1:])
     assert (start.field.at(MESH.nodes) == 0).all()
 
 
-@pytest.mark.parametrize("n_pixels", [1e4, 1e6, 2.9e7, 1e9])
+@pytest.mark.parametrize("width", [100, 1000, 5400, 32000])
 @pytest.mark.parametrize("side", [10.0, 100.0, 1000.0, 10000.0])
-def test_block_sizes_double_and_fit_the_region(n_pixels: float, side: float) -> None:
-    sizes = choose_block_sizes(int(n_pixels), square_mesh(0.0, side, side / 4))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_block_sizes_double_and_fit_the_region(width: int, side: float, dim: int) -> None:
+    mesh = build_grid_lines((0.0,) * dim + (side,) * dim, side / 4).build_mesh()
+    sizes = choose_block_sizes((width,) * dim, mesh)
     assert all(coarse == 2 * fine for coarse, fine in pairwise(sizes))
-    assert all(side / size >= 16 for size in sizes)
-    assert all(n_pixels / size**2 <= 1_000_000 for size in sizes)
+    assert all(side / size >= CELLS[dim] for size in sizes)
+    assert all((width / size)**dim <= LARGEST_COARSE_IMAGE[dim] for size in sizes)
 
 
 @pytest.mark.parametrize("circles", [

@@ -16,17 +16,27 @@ FIELDS = [
     Bending(2e-4, (110.0, 95.0), 0.3),
     Sum((Translation((1.0, 0.0)), Bending(1e-4), KIRSCH)),
 ]
+WAVES_IN_SPACE = Sinusoidal((0.1, 0.2, 0.3), (1.0, 2.0, 1.5), (90.0, 150.0, 120.0), (200.0, 70.0, 80.0),
+                            (0.1, 0.9, -0.4), (2.0, -3.0, 1.0), (110.0, 130.0, 75.0), (0.5, 1.5, 2.5))
+IN_SPACE = [
+    Translation((0.3, -2.0, 1.0)),
+    Affine(((0.01, 0.02, 0.0), (-0.03, 0.005, 0.01), (0.02, 0.0, -0.01)), (1.0, 2.0, 3.0), (100.0, 50.0, 20.0)),
+    WAVES_IN_SPACE,
+    Sum((Translation((1.0, 0.0, -1.0)), WAVES_IN_SPACE)),
+]
 
 
-def points(n=400):
-    return np.random.default_rng(3).uniform(0, 250, (n, 2))
+def points(n=400, d=2):
+    return np.random.default_rng(3).uniform(0, 250, (n, d))
 
 
-@pytest.mark.parametrize("field", FIELDS, ids=lambda field: type(field).__name__)
-def test_gradient_is_the_derivative_of_the_displacement(field):
-    at, h = points(), 1e-3
-    for j in range(2):
-        step = h * np.eye(2)[j]
+@pytest.mark.parametrize(("field", "d"), [(field, 2) for field in FIELDS] + [(field, 3) for field in IN_SPACE],
+                         ids=lambda value: type(value).__name__)
+def test_gradient_is_the_derivative_of_the_displacement(field, d):
+    at, h = points(d=d), 1e-3
+    assert field.displacement(at).shape == at.shape
+    for j in range(d):
+        step = h * np.eye(d)[j]
         difference = (field.displacement(at + step) - field.displacement(at - step)) / (2 * h)
         # The third derivative leaves h^2 / 6 x 6e-3 at most (near the hole), rounding 1e-11.
         np.testing.assert_allclose(field.gradient(at)[:, :, j], difference, rtol=0, atol=1e-9)
@@ -39,6 +49,16 @@ def test_reference_field_has_the_published_values():
     v = -0.25 + 0.50 * np.cos(2 * np.pi * x / 1280 - 0.7) * np.sin(2 * np.pi * y / 1024 + 0.5)
     # Rounding of angles of a few radians.
     np.testing.assert_allclose(Sinusoidal().displacement(at), np.column_stack([u, v]), rtol=0, atol=1e-14)
+
+
+def test_waves_in_space_are_those_of_the_plane_with_a_cosine_along_z():
+    at = points(d=3)
+    x, y, z = 2 * np.pi * at.T
+    u = 0.1 + np.sin(x / 90 + 0.1) * np.cos(y / 150 + 0.9) * np.cos(z / 120 - 0.4)
+    v = 0.2 + 2.0 * np.cos(x / 200 + 2.0) * np.sin(y / 70 - 3.0) * np.cos(z / 80 + 1.0)
+    w = 0.3 + 1.5 * np.cos(x / 110 + 0.5) * np.cos(y / 130 + 1.5) * np.sin(z / 75 + 2.5)
+    # Rounding of angles of up to 25 radians.
+    np.testing.assert_allclose(WAVES_IN_SPACE.displacement(at), np.column_stack([u, v, w]), rtol=0, atol=1e-13)
 
 
 def test_affine_values():
@@ -131,6 +151,11 @@ def test_kirsch_continuation_joins_smoothly(part):
     (Affine, {"matrix": ((math.inf, 0.0), (0.0, 0.0))}, "matrix"),
     (Sinusoidal, {"wavelength_x": (0.0, 5.0)}, "wavelength_x"),
     (Sinusoidal, {"phase_y": (math.nan, 5.0)}, "phase_y"),
+    (Sinusoidal, {"offset": (0.0, 0.0, 0.0)}, "offset, amplitude, .* three in all"),
+    (Sinusoidal, {"wavelength_z": (9.0, 9.0)}, "wavelength_z, phase_z: give both"),
+    (Translation, {"vector": (1.0,)}, "vector: must have a number for each axis"),
+    (Affine, {"matrix": ((0.0,) * 3,) * 3}, "two in all or three in all"),
+    (Affine, {"matrix": ((0.0,) * 3,) * 2}, "two in all or three in all"),
     (Kirsch, {"radius": 0.0}, "radius"),
     (Kirsch, {"poisson_ratio": 0.6}, "poisson_ratio"),
     (Bending, {"poisson_ratio": -1.0}, "poisson_ratio"),

@@ -2,7 +2,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import ConvergenceError, InputError
@@ -45,6 +45,20 @@ def test_affine_motions_are_inverted_as_by_linear_algebra(a, b, c, d):
     np.testing.assert_allclose(find_reference_points(field, y), expected, rtol=0, atol=3e-12)
 
 
+@given(entries=st.tuples(*9 * [small]))
+@settings(max_examples=25, deadline=None)
+def test_affine_motions_in_space_are_inverted_as_by_linear_algebra(entries):
+    matrix = np.reshape(entries, (3, 3))
+    field = Affine(tuple(map(tuple, matrix)), (0.5, -0.5, 1.5), (10.0, 20.0, 30.0))
+    y = np.random.default_rng(1).uniform(0, 100, (50, 3))
+    motion = np.eye(3) + matrix
+    assume(np.linalg.det(motion) > 0.1)
+    expected = np.array(field.center) + (y - field.center - field.vector) @ np.linalg.inv(motion).T
+    # The residual of 1e-12 px, or four roundings of displacements below 100 px, times the inverse's norm: at most
+    # 1.6^2 of two singular values over the determinant.
+    np.testing.assert_allclose(find_reference_points(field, y), expected, rtol=0, atol=3e-11)
+
+
 def test_far_from_the_origin_rounding_of_the_displacement_is_accepted():
     field = Affine(((0.3, 0.0), (0.0, 0.3)))
     y = np.array([[30_000.3, 29_999.7]])
@@ -54,6 +68,12 @@ def test_far_from_the_origin_rounding_of_the_displacement_is_accepted():
 def test_a_fold_is_refused():
     with pytest.raises(InputError, match="folds the image"):
         find_reference_points(Sinusoidal(amplitude=(400.0, 0.0)), POINTS)
+
+
+def test_a_fold_in_space_is_refused():
+    field = Affine(((-1.5, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3), (0.0,) * 3, (0.0,) * 3)
+    with pytest.raises(InputError, match=r"folds the image near \(.*, .*, .*\) px"):
+        find_reference_points(field, np.ones((2, 3)))
 
 
 def test_a_gap_does_not_pass_for_a_solution():

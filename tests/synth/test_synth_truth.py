@@ -29,7 +29,8 @@ def save(path, field):
 @pytest.mark.parametrize("field", [
     Translation((0.1, -3.0)), Affine(((0.1, 0.2), (0.3, 1 / 3)), (1.0, 2.0), (3.0, 4.0)), Sinusoidal(),
     Kirsch((1 / 3, 2.0), 30.0, 0.01, 0.25, (0.5, 0.6)), Bending(1e-5 / 3, (5.0, 6.0), 0.2),
-    Sum((Translation((1.0, 2.0)), Sum((Bending(), Kirsch()))))],
+    Sum((Translation((1.0, 2.0)), Sum((Bending(), Kirsch())))),
+    Sinusoidal((0.1,) * 3, (1.0,) * 3, (90.0,) * 3, (80.0,) * 3, (0.1,) * 3, (0.2,) * 3, (70.0,) * 3, (1 / 3,) * 3)],
     ids=lambda field: type(field).__name__)
 def test_the_exact_field_is_rebuilt(tmp_path, field):
     save(tmp_path / "truth.json", field)
@@ -42,6 +43,13 @@ def test_everything_that_made_the_pair_is_recorded(tmp_path):
     assert record["texture"] == {"seed": 7, "size_factor": 1.5}
     assert record["hole"] == {"center": [10.0, 20.0], "radius": 5.0, "level": 0.05, "edge": 1.0}
     assert record["image"] == {"width": 640, "height": 480, "bit_depth": 16, "noise": 2.0, "seed": 7}
+
+
+def test_waves_of_the_plane_have_no_third_axis_and_volumes_a_depth():
+    scene = Scene(SpeckleTexture(), Sinusoidal())
+    assert not [key for key in describe_pair(scene, Picture(4, 3))["field"] if key.endswith("_z")]
+    image = describe_pair(scene, Picture(4, 3, depth=2))["image"]
+    assert [image[key] for key in ("width", "height", "depth")] == [4, 3, 2]
 
 
 @pytest.mark.parametrize(("content", "message"), [

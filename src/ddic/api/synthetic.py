@@ -27,16 +27,16 @@ class _GivenField:
     displacement: Callable[[Array], Array]
 
     def gradient(self, points: Array) -> Array:
-        """Gradient du_i/dx_j (n, 2, 2) at points (n, 2)."""
+        """Gradient du_i/dx_j (n, d, d) at points (n, d)."""
         changes = [self.displacement(points + shift) - self.displacement(points - shift)
-                   for shift in DIFFERENCE_PX * np.eye(2)]
+                   for shift in DIFFERENCE_PX * np.eye(points.shape[1])]
         return np.asarray(np.stack(changes, axis=2) / (2 * DIFFERENCE_PX))
 
 
-def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField, size: tuple[int, int], *,
+def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField, size: tuple[int, ...], *,
                         noise: float = 0.0, seed: int = 0,
                         hole: Mapping[str, Any] | None = None) -> tuple[Image, Image]:
-    """Picture a speckled plane before and after a displacement, without interpolating an image.
+    """Picture a speckled plane, or a volume, before and after a displacement, without interpolating an image.
 
     The texture is known at any point, so that f(x) = g(x + u(x)) holds but for noise and rounding to 8 bit.
 
@@ -44,19 +44,20 @@ def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField
     ----------
     displacement : callable or DisplacementField
         From points (n, 2) to their displacement (n, 2), pixels of the reference image; smooth, and defined a few pixels
-        beyond the image too.
-    size : (width, height)
+        beyond the image too. Of volumes (n, 3).
+    size : (width, height) or (width, height, depth)
         Pixels.
     noise : float, optional
         Standard deviation of the camera's noise in both images, grey levels.
     seed : int, optional
         Of the speckles and of the noise.
     hole : mapping, optional
-        Round hole in the reference image, dark: ``center`` and ``radius``, pixels, as a circle of a case file.
+        Round hole in the reference image, dark: ``center`` and ``radius``, pixels, as a circle of a case file. Volumes
+        have none.
 
     Returns
     -------
-    reference, deformed : (height, width) arrays of uint8
+    reference, deformed : (height, width) or (depth, height, width) arrays of uint8
         Grey levels.
 
     Raises
@@ -66,20 +67,30 @@ def make_synthetic_pair(displacement: Callable[[Array], Any] | DisplacementField
     ConvergenceError
         Where the displacement is not smooth enough to be inverted.
     """
-    _refuse_impossible(displacement, size)
+    _refuse_impossible(displacement, size, hole)
     field: Any = displacement if hasattr(displacement, "gradient") else _GivenField(_as_arrays(displacement))
-    picture = Picture(*size, Digitiser(noise=noise, seed=seed))
+    width, height, *depth = size
+    picture = Picture(width, height, Digitiser(noise=noise, seed=seed), *depth)
     scene = Scene(SpeckleTexture(seed), field, None if hole is None else _make_hole(hole))
     pair = render_pair(scene, picture)
     return pair.reference, pair.deformed
 
 
-def _refuse_impossible(displacement: object, size: object) -> None:
+def _refuse_impossible(displacement: Any, size: Any, hole: object) -> None:
     numbers = np.asarray(size)
-    if numbers.shape != (2,) or numbers.dtype.kind not in "iu":
-        raise InputError(f"size = {size}: expected (width, height), whole numbers of pixels")
+    if numbers.shape not in ((2,), (3,)) or numbers.dtype.kind not in "iu":
+        raise InputError(f"size = {size}: expected (width, height) or (width, height, depth), whole numbers of pixels")
     if not (callable(displacement) or hasattr(displacement, "gradient")):
-        raise InputError(f"displacement: {type(displacement).__name__} given, a function of points (n, 2) expected")
+        raise InputError(f"displacement: {type(displacement).__name__} given, a function of points (n, {len(size)}) "
+                         "expected")
+    if len(size) == 3 and hole is not None:
+        raise InputError(f"hole: a volume, size = {size}, has none; give a plane image, (width, height)")
+    if hasattr(displacement, "gradient"):
+        try:
+            displacement.displacement(np.zeros((1, len(size))))
+        except ValueError as error:
+            raise InputError(f"displacement: {type(displacement).__name__} has other axes than size = {size}; give a "
+                             f"field of {len(size)} components") from error
 
 
 def _make_hole(circle: Any) -> Hole:

@@ -12,7 +12,7 @@ from tempfile import TemporaryFile
 from typing import Any
 
 from ddic.case.loader import LoadedCase
-from ddic.case.named_files import PATTERN, find_matches, list_named_files
+from ddic.case.named_files import find_matches, is_pattern, list_named_files
 from ddic.case.schema import Case
 from ddic.errors import InputError
 from ddic.io import result_schema
@@ -48,6 +48,7 @@ MAPPING = OutputKind("mapping", (b"# Near camera: homography",))
 OPENINGS = OutputKind("table of openings", (b"line,distance_px,",))
 PROBES = OutputKind("table of probes", (b"time,result,probe,",))
 NODES, CELLS = OutputKind("table of nodes", (b"node,x [px],",)), OutputKind("table of cells", (b"cell,x [px],",))
+VTU = OutputKind("VTU file", (), b"written by ddic export")
 TRIALS = OutputKind("table of trials", (b"element_size_px,",))
 MESH = OutputKind("mesh", (), b"written by ddic mesh")
 UNCERTAINTY = OutputKind("table of uncertainty", (b"kind,element_size_px,",))
@@ -113,7 +114,7 @@ def _list_texts_of_files(case_file: Path) -> Iterator[Path]:
             continue
         named = case_file.parent / text
         # Of folders the volumes alone are read.
-        yield from (path for path in (find_matches(named) if PATTERN.search(text) else [named])
+        yield from (path for path in (find_matches(named) if is_pattern(named) else [named])
                     if text in volumes or not path.is_dir())
 
 

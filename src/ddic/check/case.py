@@ -1,5 +1,6 @@
 """All that a case names, validated without solving and for the ranks at hand; images in ``check/images.py``."""
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ from ddic.io.result_reader import require_known_displacement
 from ddic.io.series_reader import read_frame_or_last
 from ddic.io.text_files import read_partition
 from ddic.io.volume_file import hold_source
-from ddic.mesh.cell_type import CELL_TYPES, Q4
+from ddic.mesh.cell_type import CELL_TYPES
 from ddic.mesh.cut_mesh import cut_mesh
 from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
@@ -67,8 +68,8 @@ class CheckReport:
 
     Attributes
     ----------
-    image_size : (width, height)
-        Of the first camera's images, pixels.
+    image_size : tuple of int
+        Of the first camera's images along each axis, pixels.
     bits : int or None
         Bits per pixel of the images' integers; None for floats.
     n_nodes, n_cells, n_dofs : int
@@ -95,7 +96,7 @@ class CheckReport:
         Names of the images of a series and their times; empty for a pair.
     """
 
-    image_size: tuple[int, int]
+    image_size: tuple[int, ...]
     bits: int | None
     n_nodes: int
     n_cells: int
@@ -115,7 +116,7 @@ class CheckReport:
 
     def list_lines(self) -> list[tuple[str, str]]:
         """List what ``ddic check`` prints: names and values."""
-        width, height = self.image_size
+        images, of_images = ("images", "pixels") if len(self.image_size) == 2 else ("volumes", "voxels")
         kind = "floating point" if self.bits is None else f"{self.bits} bit"
         cells = ", ".join(f"{count} {name}" for name, count in self.cell_counts.items())
         sets = ", ".join(f"{name} ({count} nodes)" for name, count in self.node_sets.items())
@@ -128,7 +129,7 @@ class CheckReport:
                 "the pattern, or mask them")
         cut = [] if self.discontinuities is None else [("discontinuities", self.discontinuities)]
         return [
-            ("images", f"{width} x {height} px, {kind}"),
+            (images, f"{' x '.join(map(str, self.image_size))} px, {kind}"),
             ("mesh", f"{self.n_nodes} nodes, {self.n_cells} cells ({cells})"),
             ("node sets", sets or "none"),
             *cut,
@@ -138,7 +139,7 @@ class CheckReport:
             *([("bare cells", bare)] if self.n_bare_cells else []),
             *((f"frame {number}", f"{name}, time {time:g}")
               for number, (name, time) in enumerate(self.frames, start=1)),
-            ("pixels per element", f"{self.pixels_min} at least, {self.pixels_mean:.1f} on average"),
+            (f"{of_images} per element", f"{self.pixels_min} at least, {self.pixels_mean:.1f} on average"),
             ("MPI ranks", f"{self.most_ranks} at most"),
             ("result", str(self.output)),
             ("verdict", "ready to run" if share <= MOST_BARE else f"ready to run, but {share:.0%} of the mesh is bare"),
@@ -193,7 +194,7 @@ def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridL
     case = loaded.case
     if isinstance(mesh, GridLines):
         cell_size = mesh.cell_size
-        rows = (GridLines((mesh.x, mesh.y[k:k + 2])) for k in range(len(mesh.y) - 1))
+        rows = (GridLines((*mesh.lines[:-1], mesh.lines[-1][k:k + 2])) for k in range(mesh.n_along[-1]))
         n_bare = sum(int(pattern.find_bare(row.centroids).sum()) for row in rows)
     else:
         cell_size = measure_cell_size(mesh)
@@ -222,9 +223,9 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
         warnings.warn(f"{loaded.path}: {line}", UserWarning, stacklevel=2)
     if case.imaging.reference in list_deformed(case.imaging):
         frame = f"frame {list_deformed(case.imaging).index(case.imaging.reference) + 1}" if loaded.is_series else "this"
-        warnings.warn(f"{loaded.path}: images.deformed: {frame} is the reference image itself; name another one, or "
-                      "narrow the pattern, where that is not meant", UserWarning, stacklevel=2)
-    names = [f"{loaded.path}: images", *(f"{loaded.path}: near[{k}]" for k in range(len(case.near)))]
+        warnings.warn(f"{loaded.path}: {case.imaging_name}.deformed: {frame} is the reference image itself; name "
+                      "another one, or narrow the pattern, where that is not meant", UserWarning, stacklevel=2)
+    names = [f"{loaded.path}: {case.imaging_name}", *(f"{loaded.path}: near[{k}]" for k in range(len(case.near)))]
     reference, *_ = [check_images(section, name, problems)
                      for section, name in zip(list_cameras(case), names, strict=True)]
     with problems.gathered(loaded.path):
@@ -371,7 +372,7 @@ def _check_on_grid(loaded: LoadedCase, reference: ImageSource, points: StartPoin
     case = loaded.case
     with problems.gathered():
         grid = build_plain_grid(case)
-        outline, n_inner = grid.build_outline(), (len(grid.x) - 2) * (len(grid.y) - 2)
+        outline, n_inner = grid.build_outline(), math.prod(len(line) - 2 for line in grid.lines)
         with problems.gathered():
             accept_mesh(outline, case.mesh.name, reference.extent, is_built_in=True)
         if points is not None:
@@ -395,13 +396,13 @@ def _check_on_grid(loaded: LoadedCase, reference: ImageSource, points: StartPoin
 
 def _count_controlled(grid: GridLines, section: RegularizationSection) -> int:
     """How many nodes of a grid are controlled; raises InputError as ``find_not_controlled_nodes`` does."""
-    controlled = np.ones((len(grid.y), len(grid.x)), dtype=bool)
+    controlled = np.ones(tuple(map(len, grid.lines))[::-1], dtype=bool)
     empty = []
     for box in section.boxes:
-        x0, y0, x1, y1 = box
-        columns, rows = (grid.x >= x0) & (grid.x <= x1), (grid.y >= y0) & (grid.y <= y1)
-        controlled[np.ix_(rows, columns)] = False
-        if not (columns.any() and rows.any()):
+        inside = [(line >= low) & (line <= high)
+                  for line, low, high in zip(grid.lines, *np.reshape(box, (2, -1)), strict=True)]
+        controlled[np.ix_(*inside[::-1])] = False
+        if not all(along.any() for along in inside):
             empty.append(box)
     # A box without nodes of the grid has none of its corners either.
     find_not_controlled_nodes(grid.build_outline(), section.not_controlled, empty)
@@ -413,7 +414,7 @@ def _count_controlled(grid: GridLines, section: RegularizationSection) -> int:
 
 
 def _describe_grid(case: Case, reference: ImageSource, grid: GridLines, n_controlled: int) -> CheckReport:
-    columns, rows = grid.count_pixels()
+    counts = grid.count_pixels()
     if case.solver.method == "monolithic":
         most_ranks = 1
     elif case.solver.blocks is not None:
@@ -421,16 +422,16 @@ def _describe_grid(case: Case, reference: ImageSource, grid: GridLines, n_contro
     else:
         most_ranks = case.solver.subdomains or grid.n_cells
     return CheckReport(
-        image_size=(reference.width, reference.height),
+        image_size=reference.extent.sizes,
         bits=count_bits(reference),
         n_nodes=grid.n_nodes,
         n_cells=grid.n_cells,
-        n_dofs=2 * grid.n_nodes,
-        cell_counts={Q4.name: grid.n_cells},
+        n_dofs=grid.dim * grid.n_nodes,
+        cell_counts={grid.cell_type.name: grid.n_cells},
         node_sets={name: len(nodes) for name, nodes in grid.sides.items()},
-        pixels_min=int(columns.min() * rows.min()),
-        pixels_mean=float(columns.mean() * rows.mean()),
-        n_controlled_dofs=2 * n_controlled,
+        pixels_min=math.prod(int(along.min()) for along in counts),
+        pixels_mean=math.prod(float(along.mean()) for along in counts),
+        n_controlled_dofs=grid.dim * n_controlled,
         output=case.output.file,
         discontinuities=None,
         half_amplitudes=describe_cut_off(case.regularization, case.dim),
@@ -443,9 +444,9 @@ def _check_number_of_subdomains(solver: SolverSection, n_cells: int) -> None:
     if solver.subdomains is not None and solver.subdomains > n_cells:
         raise InputError(f"solver.subdomains = {solver.subdomains}: the mesh has only {n_cells} cells; ask for fewer "
                          "subdomains")
-    if solver.blocks is not None and solver.blocks[0] * solver.blocks[1] > n_cells:
-        raise InputError(f"solver.blocks = {list(solver.blocks)}: {solver.blocks[0] * solver.blocks[1]} blocks of a "
-                         f"mesh of only {n_cells} cells; ask for fewer")
+    if solver.blocks is not None and math.prod(solver.blocks) > n_cells:
+        raise InputError(f"solver.blocks = {list(solver.blocks)}: {math.prod(solver.blocks)} blocks of a mesh of only "
+                         f"{n_cells} cells; ask for fewer")
 
 
 def _check_wavelength(wavelength: float | None, cell_size: float, n_inner_nodes: int) -> None:
@@ -492,7 +493,7 @@ def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
             raise InputError(f'{loaded.path}: solver.method = "monolithic" runs on one rank, {n_ranks} were started; '
                              'start one rank or use "dual"')
         return
-    largest = solver.subdomains if solver.blocks is None else solver.blocks[0] * solver.blocks[1]
+    largest = solver.subdomains if solver.blocks is None else math.prod(solver.blocks)
     if largest is not None and n_ranks > largest:
         key = "solver.subdomains" if solver.blocks is None else "solver.blocks"
         raise InputError(f"{loaded.path}: {key}: {largest} subdomains for {n_ranks} MPI ranks, but every rank needs at "
@@ -508,7 +509,7 @@ def _describe_inputs(case: Case, reference: ImageSource, checked: _CheckedMesh,
     n_controlled_nodes = 0 if case.regularization is None else n_unknown_nodes - n_not_controlled
     types, n_of_type = np.unique(mesh.types, return_counts=True)
     return CheckReport(
-        image_size=(reference.width, reference.height),
+        image_size=reference.extent.sizes,
         bits=count_bits(reference),
         n_nodes=mesh.n_nodes,
         n_cells=mesh.n_cells,

@@ -1,6 +1,6 @@
 """Whether images and masks can be measured on, show texture, and, near ones, what their mapping says."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -167,21 +167,22 @@ def check_texture(case: Case, reference: ImageSource, mesh: Mesh, cell_size: flo
     images = case.imaging
     window = _bound(mesh.nodes).intersection(reference.extent)
     if images.reference_mask is not None or images.masked or images.exclude_saturated:
-        usable = _find_usable(case, reference, mesh, window)
-        n_usable = int(np.count_nonzero(usable))
-        if _is_too_few(n_usable, usable.size):
-            raise InputError(f"images.reference_mask, images.masked, images.exclude_saturated: {n_usable} px of the "
-                             "mesh are left to measure by; correct the mask (more than 0 where pixels are used), the "
-                             "shapes, or images.saturation")
+        find_usable = _prepare_usable(case, reference, mesh)
+        n_usable = sum(int(np.count_nonzero(find_usable(band))) for band in _split(window))
+        if _is_too_few(n_usable, window.n_pixels):
+            keys, drawn = ("volumes.mask", "") if case.dim == 3 else (
+                "images.reference_mask, images.masked, images.exclude_saturated", ", the shapes, or images.saturation")
+            raise InputError(f"{keys}: {n_usable} px of the mesh are left to measure by; correct the mask (more than 0 "
+                             f"where pixels are used){drawn}")
     else:
-        usable = None
-    _refuse_blank(reference, window, usable)
+        find_usable = None
+    _refuse_blank(reference, window, find_usable)
     section = case.regularization
     if section is not None and section.eta is not None:
         c11, c22, *_ = build_material(section, case.dim).moduli
         part = ArraySource(reference.path, reference.read(_shrink(window)), reference.saturation)
         texture = measure_grey_levels(part).gradient_energy
-        check_weight_fits(section.eta, max(c11, c22), texture, cell_size)
+        check_weight_fits(section.eta, max(c11, c22), texture, cell_size, case.dim)
 
 
 def _bound(points: Array) -> Window:
@@ -190,20 +191,32 @@ def _bound(points: Array) -> Window:
     return Window.between(low, high + 1)
 
 
-def _find_usable(case: Case, reference: ImageSource, mesh: Mesh, window: Window) -> BoolArray:
-    """Pixels of a window that lie in the mesh and count."""
+BAND_PIXELS = 1 << 25
+"""Pixels of which is told at a time which ones count; a larger value takes more memory."""
+
+
+def _split(window: Window) -> Iterator[Window]:
+    return window.split_rows(max(1, BAND_PIXELS * window.sizes[-1] // max(window.n_pixels, 1)))
+
+
+def _prepare_usable(case: Case, reference: ImageSource, mesh: Mesh) -> Callable[[Window], BoolArray]:
+    """A function that tells which pixels of a window lie in the mesh and count."""
     masked = exclude_from_reference(reference, case.imaging, lambda path: hold_source(path, case.dim))
-    counted = masked.find_usable(window)
-    covered = rasterize(mesh).find_covered(reference.extent)[window.y0:window.y1, window.x0:window.x1]
-    return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
+    raster, cells = rasterize(mesh), np.arange(mesh.n_cells)
+
+    def find_usable(window: Window) -> BoolArray:
+        counted, covered = masked.find_usable(window), raster.draw_cells(cells, window)
+        return np.asarray(covered != 0 if counted is None else (covered & counted) != 0)
+
+    return find_usable
 
 
-def _refuse_blank(reference: ImageSource, window: Window, usable: BoolArray | None) -> None:
+def _refuse_blank(reference: ImageSource, window: Window, find_usable: Callable[[Window], BoolArray] | None) -> None:
     """Refuse a region of one grey level; read only as far as there is one, and a large region in bands of it."""
     level = None
     for rows in list_spread_bands(window):
         band = reference.read(rows)
-        values = band if usable is None else band[usable[rows.y0 - window.y0:rows.y1 - window.y0]]
+        values = band if find_usable is None else band[find_usable(rows)]
         if values.size and level is None:
             level = values.flat[0]
         if values.size and (values != level).any():

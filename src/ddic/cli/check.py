@@ -66,13 +66,13 @@ def _draw(case: Case, drawing: Path) -> None:
     from ddic.case.methods import find_method
     from ddic.io.volume_file import hold_source
     from ddic.plots.canvas import save_figure
-    from ddic.plots.maps import read_preview
+    from ddic.plots.maps import read_below
     from ddic.plots.partition import draw_mesh_preview
     from ddic.problem.region_mesh import list_discontinuities
 
     reference = hold_source(case.imaging.reference, case.dim)
     mesh = find_method(case).build_result_mesh(case, reference.extent)
-    figure = draw_mesh_preview(mesh, read_preview(reference), list_discontinuities(case).lines)
+    figure = draw_mesh_preview(mesh, read_below(mesh, reference), list_discontinuities(case).lines)
     save_figure(figure, drawing)
 
 
@@ -83,7 +83,7 @@ def _draw_wrong(case_file: Path, drawing: Path) -> None:
     from ddic.inputs.mesh_source import build_mesh_anywhere
     from ddic.io.volume_file import hold_source
     from ddic.plots.canvas import save_figure
-    from ddic.plots.maps import read_preview
+    from ddic.plots.maps import read_below
     from ddic.plots.partition import draw_mesh_preview
 
     with suppress(InputError):
@@ -92,5 +92,5 @@ def _draw_wrong(case_file: Path, drawing: Path) -> None:
             require_own_output(drawing, PICTURE, loaded.list_inputs())
             mesh = build_mesh_anywhere(loaded.case)
             reference = hold_source(loaded.case.imaging.reference, loaded.case.dim)
-            save_figure(draw_mesh_preview(mesh, read_preview(reference)), drawing)
+            save_figure(draw_mesh_preview(mesh, read_below(mesh, reference)), drawing)
             click.echo(f"{'picture':<20}{drawing}")

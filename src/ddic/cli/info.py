@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from ddic.cli.failures import failures_as_lines, warnings_as_lines
 from ddic.errors import InputError
 
 if TYPE_CHECKING:
+    from ddic.arrays import Array
     from ddic.io.result_reader import Result
     from ddic.io.series_reader import SeriesResult
 
@@ -28,7 +30,7 @@ MOST_MODES = 10
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
 @frame_option
 def info(file: Path, frame: int | None) -> None:
-    """Describe a result file, or an image: size, type, range, saturation, gradient energy.
+    """Describe a result file, an image or a volume: size, type, range, saturation, gradient energy.
 
     Of a series: its frames, in a table, and what all have in common; one of them with --frame.
     """
@@ -46,11 +48,12 @@ def _format(lines: Lines) -> list[str]:
 def _describe(file: Path, frame: int | None) -> list[str]:
     """What a file holds, in lines."""
     # Imported here because HDF5 and OpenCV are not needed by --help.
-    from ddic.io.input_file import require_file
+    from ddic.io.input_file import require_file, split_dataset
     from ddic.io.series_reader import is_series_file, read_frame, read_series
 
-    require_file(file, "file")
-    if not _is_hdf5(file):
+    if not file.is_dir():
+        require_file(split_dataset(file)[0], "file")
+    if file.is_dir() or not _is_result(file):
         if frame is not None:
             raise InputError(f"--frame {frame}: {file} is no result file; leave it out")
         return _format(_image_lines(file))
@@ -59,32 +62,41 @@ def _describe(file: Path, frame: int | None) -> list[str]:
     return _format(_result_lines(read_frame(file, frame)))
 
 
-def _is_hdf5(file: Path) -> bool:
+def _is_result(file: Path) -> bool:
+    """Whether it is an HDF5 file with what results have, or damaged."""
     import h5py
 
+    from ddic.io.result_schema import VTKHDF
+
     try:
-        return bool(h5py.is_hdf5(file))
+        if not h5py.is_hdf5(file):
+            return False
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({os.strerror(error.errno) if error.errno else error}); check its "
                          "permissions") from error
+    with suppress(OSError), h5py.File(file, "r") as opened:
+        return VTKHDF in opened
+    return True
 
 
 def _image_lines(file: Path) -> Lines:
-    """Of an image."""
+    """Of an image or a volume."""
     from ddic.images.binned import ArraySource
     from ddic.images.grey_levels import measure_grey_levels
-    from ddic.io.image_file import open_decoded
+    from ddic.io.image_file import ImageFile
+    from ddic.io.volume_file import is_volume, open_source
 
-    image, pixels = open_decoded(file)
+    dim = 3 if is_volume(file) else 2
+    image, pixels = open_source(file, dim)
+    n_bits = image.layout.bits if isinstance(image, ImageFile) else 8 * image.dtype.itemsize
     report = measure_grey_levels(image if pixels is None else ArraySource(file, pixels, image.saturation))
-    n_pixels = image.width * image.height
     saturated = "none possible (floating point)"
     if report.saturation is not None:
-        saturated = f"{100 * report.n_saturated / n_pixels:.3f} % (at {report.saturation:.0f})"
+        saturated = f"{100 * report.n_saturated / image.extent.n_pixels:.3f} % (at {report.saturation:.0f})"
     return [
-        ("image", str(file)),
-        ("size", f"{image.width} x {image.height} px"),
-        ("type", f"{image.dtype}, {image.layout.bits} bit"),
+        ("image" if dim == 2 else "volume", str(file)),
+        ("size", f"{image.extent.describe()} px"),
+        ("type", f"{image.dtype}, {n_bits} bit"),
         ("range", f"{report.lowest:g} to {report.highest:g} grey levels, mean {report.mean:.4g}"),
         ("saturated", saturated),
         ("not finite", f"{report.n_not_finite} px"),
@@ -105,12 +117,31 @@ def _list_series_lines(series: SeriesResult) -> list[str]:
         ("series", str(series.path)),
         ("frames", f"{len(series.records)}{failed}"),
         ("times", f"{times[0]:g} to {times[-1]:g}"),
-        ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px in all frames"),
-        ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px in all frames"),
+        *((name, f"{text} in all frames") for name, text in _list_ranges(low, high)),
     ]
-    said = ("result", "displacement x", "displacement y")
+    said = ("result", *(name for name, _ in _list_ranges(low, high)))
     of_first = [line for line in _result_lines(series[0]) if line[0] not in said]
     return [*_format(of_all), *_list_frame_rows(series), f"of frame {series.numbers[0]}:", *_format(of_first)]
+
+
+def _list_ranges(low: Array, high: Array) -> Lines:
+    """Least and largest displacement along each axis, (dim,) each, pixels."""
+    return [(f"displacement {axis}", f"{first:.4f} to {last:.4f} px")
+            for axis, first, last in zip("xyz", low, high, strict=False)]
+
+
+def _find_residual(result: Result) -> float | None:
+    """Standard deviation of the residual image, grey levels; None without one.
+
+    Of a volume's, which takes long to read, that before the last correction.
+    """
+    import numpy as np
+
+    if result.mesh.dim == 3:
+        values = result.gauss_newton.get("residual_std_grey", np.empty(0)) if result.residual_extent else np.empty(0)
+        return next((float(value) for value in values[::-1] if np.isfinite(value)), None)
+    image = result.residual_image
+    return float(np.nanstd(image)) if image is not None and np.isfinite(image).any() else None
 
 
 def _result_lines(result: Result) -> Lines:
@@ -122,7 +153,7 @@ def _result_lines(result: Result) -> Lines:
     low, high = np.fmin.reduce(result.displacement), np.fmax.reduce(result.displacement)
     n_unmeasured = int((~result.measured_nodes).sum())
     unmeasured = [("not measured", f"{n_unmeasured} nodes, whose cells all are excluded")] if n_unmeasured else []
-    image = result.residual_image
+    residual = _find_residual(result)
     cut = [(f"discontinuity {number}", " to ".join(f"({x:.2f}, {y:.2f})" for x, y in line) + " px")
            for number, line in enumerate(get_lines(result), start=1)]
     lines = [
@@ -132,13 +163,12 @@ def _result_lines(result: Result) -> Lines:
         ("mesh", f"{result.mesh.n_nodes} nodes, {result.mesh.n_cells} cells, {result.mesh.n_dofs} unknowns"),
         ("subdomains", str(result.n_subdomains)),
         ("y axis in the file", "up" if result.flipped else "down"),
-        ("displacement x", f"{low[0]:.4f} to {high[0]:.4f} px"),
-        ("displacement y", f"{low[1]:.4f} to {high[1]:.4f} px"),
+        *_list_ranges(low, high),
         *unmeasured,
         *cut,
     ]
-    if image is not None and np.isfinite(image).any():
-        lines.append(("residual", f"standard deviation {np.nanstd(image):.4g} grey levels"))
+    if residual is not None:
+        lines.append(("residual", f"standard deviation {residual:.4g} grey levels"))
     lines += [(f"{place} field", name) for place, fields in (("node", result.point_data),
                                                              ("cell", result.cell_data)) for name in fields]
     if result.separated is not None:

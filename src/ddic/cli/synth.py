@@ -1,7 +1,8 @@
-"""``ddic synth``: image pairs whose displacement is known exactly, also two pairs at different magnifications."""
+"""``ddic synth``: pairs of images or volumes whose displacement is known exactly, also pairs at two magnifications."""
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import re
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-Size = tuple[int, int]
+Size = tuple[int, ...]
+Vector = tuple[float, ...]
 
 
 class _ImageOptions(TypedDict):
@@ -35,25 +37,63 @@ class _ImageOptions(TypedDict):
     output: Path
 
 
-def _parse_size(_context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
+class _Vector(click.Option):
+    """An option of several numbers: of a volume ``n_of_volume`` of them, by default those of ``of_volume``."""
+
+    def __init__(self, names: Sequence[str], n_of_volume: int = 3, of_volume: Vector | None = None,
+                 **settings: Any) -> None:
+        super().__init__(names, type=float, **settings)
+        self.of_volume = {"nargs": n_of_volume} if of_volume is None else {"nargs": n_of_volume, "default": of_volume}
+
+    def for_volume(self) -> _Vector:
+        """Give the option as a volume has it."""
+        option = copy.copy(self)
+        vars(option).update(self.of_volume)
+        return option
+
+
+class _AnyDimension(click.Command):
+    """A command that makes images or volumes: --size says which, before the numbers of vectors are counted."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the words of a command."""
+        sizes = re.findall(r"(?:^|\0)--size[=\0]([^\0]*)", "\0".join(args))
+        ctx.meta[__name__] = "".join(sizes[-1:]).lower().count("x") == 2
+        return super().parse_args(ctx, args)
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """List the options, as a volume has them where --size is one's."""
+        params = super().get_params(ctx)
+        is_volume = ctx.meta.get(__name__)
+        return [param.for_volume() if is_volume and isinstance(param, _Vector) else param for param in params]
+
+
+def _parse_size(context: click.Context, _option: click.Parameter, text: str | None) -> Size | None:
     """Turn "640x480" into (640, 480), pixels, and None into None; raises BadParameter where it is no such text."""
     from ddic.io.image_formats import MOST_PIXELS_ALONG
 
     if text is None:
         return None
-    match = re.fullmatch(r"([1-9]\d*)[xX]([1-9]\d*)", text)
-    if match is None:
+    sizes = re.findall(r"[1-9]\d*", text)
+    if re.fullmatch(r"[1-9]\d*([xX][1-9]\d*){1,2}", text) is None:
         raise click.BadParameter(f"{text!r} is not WIDTHxHEIGHT in pixels, for instance 640x480")
+    if len(sizes) == 3 and not isinstance(context.command, _AnyDimension):
+        raise click.BadParameter(f"{text} is a volume, and {context.command.name} plane: give WIDTHxHEIGHT")
     # Not int() first: Python takes no more than 4300 digits.
-    if max(map(len, match.groups())) > len(str(MOST_PIXELS_ALONG)) or max(map(int, match.groups())) > MOST_PIXELS_ALONG:
+    if max(map(len, sizes)) > len(str(MOST_PIXELS_ALONG)) or max(map(int, sizes)) > MOST_PIXELS_ALONG:
         raise click.BadParameter(f"images have {MOST_PIXELS_ALONG} columns and rows at most")
-    return int(match[1]), int(match[2])
+    return tuple(map(int, sizes))
 
 
-def _add_image_options(size: str, files: str) -> Callable[[Command], Command]:
-    """Make a decorator that adds _ImageOptions, ``size`` the default of --size, ``files`` what --output will hold."""
+_PLANE_SIZE = ("WIDTHxHEIGHT", "Size, pixels.")
+_ANY_SIZE = ("WIDTHxHEIGHT[xDEPTH]", "Size, pixels; with a depth of volumes, whose vectors have a third number: "
+             "--size 64x64x64 --help shows them.")
+
+
+def _add_image_options(size: str, files: str, shown: tuple[str, str] = _PLANE_SIZE) -> Callable[[Command], Command]:
+    """Make a decorator that adds _ImageOptions: default and help of --size, and what --output will hold."""
     options = (
-        click.option("--size", callback=_parse_size, default=size, metavar="WIDTHxHEIGHT", help="Size, pixels."),
+        click.option("--size", callback=_parse_size, default=size, metavar=shown[0], help=shown[1]),
         click.option("--bit-depth", type=click.Choice(["8", "16", "32"]), default="8",
                      help="8 or 16 bit, or 32 for float values on the scale 0..255."),
         click.option("--noise", type=float, default=0.0,
@@ -186,7 +226,8 @@ def near_far(ratio: float, near_center: Pair | None, near_angle: float, tilt: Pa
 
     far = _picture(image, size_far, noise_far)
     near = _picture(image, size_near, noise_near)
-    center = center or far.middle
+    x, y = far.middle
+    center = center or (x, y)
     radius = min(far.width, far.height) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
     focus = near_center or near_far_scene.place_beside_hole(center, radius, ratio, near)
@@ -204,13 +245,15 @@ def _picture(image: _ImageOptions, size: Size | None = None, noise: float | None
     """A camera's picture; one of two cameras may have a size and noise of its own."""
     from ddic.synth.render import Digitiser, Picture
 
-    width, height = size or image["size"]
+    width, height, *depth = size or image["size"]
     level = image["noise"] if noise is None else noise
     digitiser = Digitiser(int(image["bit_depth"]), level, image["seed"])
-    return Picture(width, height, digitiser)
+    return Picture(width, height, digitiser, *depth)
 
 
-_pair_options = _add_image_options("512x512", "reference.tif, deformed.tif and truth.json")
+_FILES_OF_PAIR = "reference.tif, deformed.tif and truth.json"
+_plane_options = _add_image_options("512x512", _FILES_OF_PAIR)
+_pair_options = _add_image_options("512x512", _FILES_OF_PAIR, _ANY_SIZE)
 
 
 @click.group()
@@ -218,51 +261,68 @@ def synth() -> None:
     """Generate speckled image pairs with an exactly known displacement.
 
     Pixels: x is the column, y the row (downwards), pixel centres are at integers.
+
+    Pairs of volumes are made by translation, affine and sinusoidal with --size WIDTHxHEIGHTxDEPTH; z is the page.
     """
 
 
 synth.add_command(near_far)
 
 
-@synth.command()
-@click.option("--vector", type=float, nargs=2, default=(0.25, -0.4), help="u_x u_y, px.")
+@synth.command(cls=_AnyDimension)
+@click.option("--vector", cls=_Vector, nargs=2, default=(0.25, -0.4), of_volume=(0.25, -0.4, 0.3),
+              help="u_x u_y [u_z], px.")
 @_pair_options
-def translation(vector: Pair, **image: Unpack[_ImageOptions]) -> None:
+def translation(vector: Vector, **image: Unpack[_ImageOptions]) -> None:
     """Move the whole image by one vector."""
     from ddic.synth.fields import Translation
 
     _generate(Translation(vector), None, image)
 
 
-@synth.command()
-@click.option("--gradient", type=float, nargs=4, default=(0.01, 0.0, 0.0, -0.003),
-              help="du_x/dx du_x/dy du_y/dx du_y/dy.")
-@click.option("--vector", type=float, nargs=2, default=(0.0, 0.0), help="Displacement of the centre, px.")
-@click.option("--center", type=float, nargs=2, help="x y, px.  [default: the image's centre]")
+@synth.command(cls=_AnyDimension)
+@click.option("--gradient", cls=_Vector, nargs=4, default=(0.01, 0.0, 0.0, -0.003), n_of_volume=9,
+              of_volume=(0.01, 0.0, 0.0, 0.0, -0.003, 0.0, 0.0, 0.0, -0.003),
+              help="du_x/dx du_x/dy du_y/dx du_y/dy, of volumes row by row too.")
+@click.option("--vector", cls=_Vector, nargs=2, default=(0.0, 0.0), of_volume=(0.0, 0.0, 0.0),
+              help="Displacement of the centre, px.")
+@click.option("--center", cls=_Vector, nargs=2, help="x y [z], px.  [default: the image's centre]")
 @_pair_options
-def affine(gradient: tuple[float, float, float, float], vector: Pair, center: Pair | None,
-           **image: Unpack[_ImageOptions]) -> None:
+def affine(gradient: Vector, vector: Vector, center: Vector | None, **image: Unpack[_ImageOptions]) -> None:
     """Deform with a uniform gradient."""
     from ddic.synth.fields import Affine
 
-    matrix = (gradient[:2], gradient[2:])
+    n_axes = len(vector)
+    matrix = tuple(gradient[first : first + n_axes] for first in range(0, len(gradient), n_axes))
     _generate(Affine(matrix, vector, center or _picture(image).middle), None, image)
 
 
-@synth.command()
-@click.option("--offset", type=float, nargs=2, default=(0.35, -0.25), help="Mean of u_x and of u_y, px.")
-@click.option("--amplitude", type=float, nargs=2, default=(0.60, 0.50), help="Of u_x and of u_y, px.")
-@click.option("--wavelength-x", type=float, nargs=2, default=(1024.0, 1280.0), help="Of u_x along x and along y, px.")
-@click.option("--wavelength-y", type=float, nargs=2, default=(1280.0, 1024.0), help="Of u_y along x and along y, px.")
-@click.option("--phase-x", type=float, nargs=2, default=(0.3, -0.2), help="Of u_x along x and along y, rad.")
-@click.option("--phase-y", type=float, nargs=2, default=(-0.7, 0.5), help="Of u_y along x and along y, rad.")
+@synth.command(cls=_AnyDimension)
+@click.option("--offset", cls=_Vector, nargs=2, default=(0.35, -0.25), of_volume=(0.35, -0.25, 0.15),
+              help="Mean of u_x, of u_y [and of u_z], px.")
+@click.option("--amplitude", cls=_Vector, nargs=2, default=(0.60, 0.50), of_volume=(0.60, 0.50, 0.55),
+              help="Of u_x, of u_y [and of u_z], px.")
+@click.option("--wavelength-x", cls=_Vector, nargs=2, default=(1024.0, 1280.0), of_volume=(1024.0, 1280.0, 1150.0),
+              help="Of u_x along x, along y [and along z], px.")
+@click.option("--wavelength-y", cls=_Vector, nargs=2, default=(1280.0, 1024.0), of_volume=(1280.0, 1024.0, 1100.0),
+              help="Of u_y, likewise, px.")
+@click.option("--wavelength-z", cls=_Vector, nargs=3, of_volume=(1100.0, 1200.0, 1024.0),
+              help="Of u_z, likewise, px; of volumes alone.")
+@click.option("--phase-x", cls=_Vector, nargs=2, default=(0.3, -0.2), of_volume=(0.3, -0.2, 0.1),
+              help="Of u_x along x, along y [and along z], rad.")
+@click.option("--phase-y", cls=_Vector, nargs=2, default=(-0.7, 0.5), of_volume=(-0.7, 0.5, -0.4),
+              help="Of u_y, likewise, rad.")
+@click.option("--phase-z", cls=_Vector, nargs=3, of_volume=(0.2, -0.3, 0.6),
+              help="Of u_z, likewise, rad; of volumes alone.")
 @_pair_options
-def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: Pair, phase_x: Pair,
-               phase_y: Pair, **image: Unpack[_ImageOptions]) -> None:
+def sinusoidal(offset: Vector, amplitude: Vector, wavelength_x: Vector, wavelength_y: Vector,
+               wavelength_z: Vector | None, phase_x: Vector, phase_y: Vector, phase_z: Vector | None,
+               **image: Unpack[_ImageOptions]) -> None:
     """Deform with waves; the default values are the reference field of all accuracy figures."""
     from ddic.synth.fields import Sinusoidal
 
-    _generate(Sinusoidal(offset, amplitude, wavelength_x, wavelength_y, phase_x, phase_y), None, image)
+    _generate(Sinusoidal(offset, amplitude, wavelength_x, wavelength_y, phase_x, phase_y, wavelength_z, phase_z),
+              None, image)
 
 
 @synth.command()
@@ -273,13 +333,14 @@ def sinusoidal(offset: Pair, amplitude: Pair, wavelength_x: Pair, wavelength_y: 
 @click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), help="Rigid displacement added, px.")
 @click.option("--paint-hole/--no-paint-hole", "draw_hole", default=True,
               help="Show the hole as a dark disc, or leave speckles in it.")
-@_pair_options
+@_plane_options
 def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_ratio: float,
            translation: Pair, draw_hole: bool, **image: Unpack[_ImageOptions]) -> None:
     """Pull a plate with a circular hole along y (Kirsch's solution)."""
     from ddic.synth.fields import Hole, Kirsch
 
-    center = center or _picture(image).middle
+    x, y = _picture(image).middle
+    center = center or (x, y)
     radius = min(image["size"]) / 10 if radius is None else radius
     field = Kirsch(center, radius, strain, poisson_ratio, translation)
     _generate(field, Hole(center, radius) if draw_hole else None, image)
@@ -290,13 +351,14 @@ def kirsch(center: Pair | None, radius: float | None, strain: float, poisson_rat
 @click.option("--center", type=float, nargs=2, help="x y, px.  [default: the image's centre]")
 @click.option("--poisson-ratio", type=float, default=0.3)
 @click.option("--translation", type=float, nargs=2, default=(0.0, 0.0), help="Rigid displacement added, px.")
-@_pair_options
+@_plane_options
 def bending(curvature: float, center: Pair | None, poisson_ratio: float, translation: Pair,
             **image: Unpack[_ImageOptions]) -> None:
     """Bend a beam along x as between the inner rollers of a four-point test."""
     from ddic.synth.fields import Bending, Sum, Translation
 
-    beam = Bending(curvature, center or _picture(image).middle, poisson_ratio)
+    x, y = _picture(image).middle
+    beam = Bending(curvature, center or (x, y), poisson_ratio)
     _generate(Sum((beam, Translation(translation))), None, image)
 
 

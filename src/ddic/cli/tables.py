@@ -120,24 +120,32 @@ def _write(value: float, how: str = "g") -> str:
 @click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False),
               help="NAME.csv for NAME.nodes.csv and NAME.cells.csv; by default named after RESULT (and its frame), "
                    "beside it.")
-def export(file: Path, frame: int | None, table: Path | None) -> None:
+@click.option("--vtu", "fields", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.vtu",
+              help="VTU file to write in place of the tables, or beside them where --csv is given: the mesh and all "
+                   "fields, for programs that do not read VTKHDF.")
+def export(file: Path, frame: int | None, table: Path | None, fields: Path | None) -> None:
     """Write all fields of a result as two CSV tables, a row for each node and for each cell, units in the headers."""
     # Imported here because HDF5 is not needed by --help.
-    from ddic.case.own_outputs import CELLS, NODES, require_own_output
+    from ddic.case.own_outputs import CELLS, NODES, VTU, require_own_output
     from ddic.io.series_reader import read_frame
-    from ddic.probes.tables import list_field_tables, write_field_tables
+    from ddic.probes.tables import list_field_tables, write_field_tables, write_vtu
 
     of_frame = "" if frame is None else f".frame_{frame}"
     target = file.parent / f"{file.stem}{of_frame}.csv" if table is None else table
     with failures_as_lines(target):
         if not target.name:
             raise InputError("--csv: give the name of a table, results.csv for instance")
-        for path, kind in zip(list_field_tables(target), (NODES, CELLS), strict=True):
+        tables = list_field_tables(target) if fields is None or table is not None else ()
+        outputs = [*zip(tables, (NODES, CELLS), strict=False), *([] if fields is None else [(fields, VTU)])]
+        for path, kind in outputs:
             require_own_output(path, kind, (file,))
         with warnings_as_lines():
             result = read_frame(file, frame)
-        written = write_field_tables(target, result)
-    for path in written:
+        if tables:
+            write_field_tables(target, result)
+        if fields is not None:
+            write_vtu(fields, result)
+    for path, _ in outputs:
         click.echo(path)
 
 

@@ -21,6 +21,10 @@ FLAT = 1e-9
 """Sum of squares about the mean, relative to the largest of all shifts, up to which an image is flat there: rounding
 of the Fourier transforms leaves some 1e-13."""
 
+SMOOTHED = {2: 0.0, 3: 0.8}
+"""Standard deviation, pixels, by which images are smoothed before, by the number of dimensions: speckles as small as a
+pixel look different half a pixel farther on, and in three directions leave a coefficient of 0.2."""
+
 _TINY = 1e-300
 """A sum of squares below any that is not 0."""
 
@@ -60,7 +64,10 @@ def find_rigid_shift(f: Array, g: Array, region: BoolArray) -> RigidShift:
     weight = region.astype(np.float64)
     # Sums of squares of small numbers lose fewer digits.
     centre = f[region].mean()
-    f, g = (f - centre) * weight, g - centre
+    f, g = f - centre, g - centre
+    if SMOOTHED[f.ndim]:
+        f, g = (scipy.ndimage.gaussian_filter(values, SMOOTHED[f.ndim]) for values in (f, g))
+    f *= weight
     return _find_peak(_correlate_coefficients(f, g, weight))
 
 

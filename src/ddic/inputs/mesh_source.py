@@ -64,7 +64,7 @@ def build_meshes(case: Case, extent: Window) -> tuple[Mesh, Tying | None]:
 
 
 def is_plain_grid(case: Case) -> bool:
-    """Tell whether a case asks for a rectangle of Q4 that nothing cuts, ties or splits in a way of its own."""
+    """Tell whether a case asks for a rectangle or a box of equal cells that nothing cuts, ties or splits specially."""
     section = case.mesh.structured
     if section is None or section.cell != "Q4" or isinstance(section.region, ShapeSection):
         return False
@@ -125,24 +125,26 @@ def convert_mapping(section: MappingSection) -> Similarity:
     return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation, section.y_up)
 
 
-def _check_pixels(section: MeshedSection, name: str) -> tuple[int, int]:
-    """Refuse a mesh that has elements without a pixel whatever its holes; columns and rows of others come back."""
-    n_columns, n_rows = count_cells(section.box, section.element_size, name)
-    x0, y0, x1, y1 = section.box
-    n_pixels = (math.floor(x1 + 1) - math.ceil(x0), math.floor(y1 + 1) - math.ceil(y0))
-    if n_columns > n_pixels[0] or n_rows > n_pixels[1]:
-        raise InputError(f"{name}: element_size = {section.element_size:g} asks for {n_columns} x {n_rows} "
-                         f"elements on {n_pixels[0]} x {n_pixels[1]} pixels: some hold no pixel; use larger elements")
-    return n_columns, n_rows
+def _check_pixels(section: MeshedSection, name: str) -> int:
+    """Refuse a mesh that has elements without a pixel whatever its holes; the number of others comes back."""
+    n_along = count_cells(section.box, section.element_size, name)
+    low, high = np.reshape(section.box, (2, -1))
+    n_pixels = (np.floor(high + 1) - np.ceil(low)).astype(np.int64)
+    if (np.array(n_along) > n_pixels).any():
+        elements, pixels = (" x ".join(map(str, along)) for along in (n_along, n_pixels))
+        raise InputError(f"{name}: element_size = {section.element_size:g} asks for {elements} elements on {pixels} "
+                         "pixels: some hold no pixel; use larger elements")
+    return math.prod(n_along)
 
 
 def _check_size(section: MeshedSection, name: str, bytes_per_cell: int) -> None:
     """Refuse a mesh that has elements without a pixel, or does not fit into memory, before it is built."""
-    n_columns, n_rows = _check_pixels(section, name)
-    needed, left = n_columns * n_rows * bytes_per_cell, read_available_memory()
+    n_elements = _check_pixels(section, name)
+    needed, left = n_elements * bytes_per_cell, read_available_memory()
     if needed > left:
-        raise InputError(f"{name}: {n_columns * n_rows:.3g} elements, {2 * n_columns * n_rows:.3g} unknowns, "
-                         f"take {needed / 2**30:.3g} GiB to build alone, and {left / 2**30:.3g} GiB are left here; use "
+        n_unknowns = len(section.box) // 2 * n_elements
+        raise InputError(f"{name}: {n_elements:.3g} elements, {n_unknowns:.3g} unknowns, take "
+                         f"{needed / 2**30:.3g} GiB to build alone, and {left / 2**30:.3g} GiB are left here; use "
                          "larger elements, or a machine with more memory")
 
 
@@ -174,17 +176,17 @@ def _list_holes(section: MeshedSection) -> tuple[list[tuple[tuple[float, float],
             [np.array(polygon.vertices) for polygon in section.polygons])
 
 
-def check_weight_fits(eta: float, modulus: float, texture: float, size: float) -> None:
+def check_weight_fits(eta: float, modulus: float, texture: float, size: float, dim: int) -> None:
     """Check that the images are not lost beside the weight of the equilibrium gap.
 
-    A weight stands for the wavelength 2 pi / k at which eta (modulus size k^2)^2 / 2, the gap of a plane wave per
-    pixel, equals texture / 4, what its images say, both means over the wave's phase and direction. ``modulus`` is that
-    of a strain in one direction, that of Young being 1; ``texture`` is the mean of |grad f|^2, (grey level / px)^2, as
-    eta; ``size`` is that of the elements, pixels. Raises InputError where that wavelength is longer than
+    A weight stands for the wavelength 2 pi / k at which eta (modulus k^2)^2 size^dim / 2, the gap of a plane wave per
+    pixel, equals texture / (2 dim), what its images say, both means over the wave's phase and direction. ``modulus`` is
+    that of a strain in one direction, that of Young being 1; ``texture`` is the mean of |grad f|^2, (grey level /
+    px)^2, as eta; ``size`` is that of the elements, pixels. Raises InputError where that wavelength is longer than
     LONGEST_WAVELENGTH elements.
     """
-    # A node's share of the gap is an element's force, hence size^2; its square is per node, hence 1 / size^2.
-    largest = texture * size**2 / 2 * (LONGEST_WAVELENGTH / (2 * math.pi)) ** 4 / modulus**2
+    # A node's share of the gap is an element's force, hence size^dim; its square is per node, hence 1 / size^dim.
+    largest = texture / size**dim / dim * (LONGEST_WAVELENGTH / (2 * math.pi) * size) ** 4 / modulus**2
     if eta > largest:
         raise InputError(f"regularization.eta = {eta:g}: it stands for a cut-off wavelength of more than "
                          f"{LONGEST_WAVELENGTH:g} elements of {size:.3g} px, where rounding hides the images; give at "

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
 from ddic.errors import InputError
@@ -150,21 +151,13 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
 
     Raises InputError as ``require_written_format`` does, and where the folder cannot be written to.
     """
-    import meshio
-
     require_written_format(path)
     file_format, comment = WRITTEN_FORMATS[path.suffix.lower()]
     refused, other = (",=\n", ".vtu") if file_format == "abaqus" else ('&<"\n', ".inp")
     odd = [name for name in mesh.node_sets if set(name) & set(refused) or name != name.strip()]
     if odd:
         raise InputError(f'{path}: this format cannot name the node set "{odd[0]}"; write a {other} file, or rename it')
-    ends = [*np.flatnonzero(np.diff(mesh.types)) + 1, mesh.n_cells]
-    blocks = []
-    for start, end in zip([0, *ends], ends, strict=False):
-        kind = CELL_TYPES[int(mesh.types[start])]
-        blocks.append((kind.meshio_name, mesh.cells[start:end, :kind.n_nodes]))
-    points = np.column_stack([mesh.nodes, np.zeros((mesh.n_nodes, 3 - mesh.dim))])
-    raw = meshio.Mesh(points, blocks)
+    raw = convert_to_meshio(mesh)
     for name, nodes in mesh.node_sets.items():
         if file_format == "abaqus":
             raw.point_sets[name] = nodes
@@ -174,3 +167,17 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
         raw.write(temporary, file_format=file_format)
         with temporary.open("a", encoding="ascii") as stream:
             stream.write(comment)
+
+
+def convert_to_meshio(mesh: Mesh, point_data: Mapping[str, NDArray[Any]] | None = None,
+                      cell_data: Mapping[str, NDArray[Any]] | None = None) -> Any:
+    """Convert a mesh to one of meshio, with some fields, whose blocks of cells follow each other as the cells do."""
+    import meshio
+
+    starts = [0, *np.flatnonzero(np.diff(mesh.types)) + 1]
+    kinds = [CELL_TYPES[int(mesh.types[start])] for start in starts]
+    blocks = [(kind.meshio_name, nodes[:, :kind.n_nodes])
+              for kind, nodes in zip(kinds, np.split(mesh.cells, starts[1:]), strict=True)]
+    points = np.column_stack([mesh.nodes, np.zeros((mesh.n_nodes, 3 - mesh.dim))])
+    return meshio.Mesh(points, blocks, dict(point_data or {}),
+                       {name: np.split(values, starts[1:]) for name, values in (cell_data or {}).items()})

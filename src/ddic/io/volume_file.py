@@ -25,7 +25,7 @@ from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource, SizedImage
 from ddic.images.window import Window
 from ddic.io import image_formats as formats
-from ddic.io import input_file as files_of
+from ddic.io import input_file
 from ddic.io.hdf5_file import READ_ERRORS
 from ddic.io.image_file import ImageFile, open_decoded, open_slices
 from ddic.io.text_files import parse_toml, read_text
@@ -139,7 +139,16 @@ class Planes:
         return out
 
 
-def open_source(path: Path, dim: int) -> tuple[ImageSource, NDArray[Any] | None]:
+def is_volume(path: Path) -> bool:
+    """Tell whether a path leads to a volume and no image, as far as its beginning shows, or several pages of TIFF."""
+    try:
+        file, _ = input_file.split_dataset(path)
+        return _choose_opener(file) is not _open_tiff or formats.read_tiff_format(file).n_pages > 1
+    except (InputError, *_ERRORS):
+        return False
+
+
+def open_source(path: Path, dim: int) -> tuple[ImageFile | VolumeFile, NDArray[Any] | None]:
     """Open an image, or where ``dim`` is 3 a volume, and keep what had to be decoded for that.
 
     That is all grey levels where the file can only be decoded whole, else None. Raises InputError if it is missing,
@@ -175,9 +184,9 @@ def open_mask(path: Path, extent: Window) -> ImageSource:
 
 def _open_volume(path: Path) -> tuple[VolumeFile, NDArray[Any] | None]:
     """A volume, of which the last voxel at least was read, and all of its voxels where it is decoded whole."""
-    file, name = files_of.split_dataset(path)
+    file, name = input_file.split_dataset(path)
     if not os.path.isdir(file):
-        files_of.require_file(file, "volume")
+        input_file.require_file(file, "volume")
     try:
         opener = _choose_opener(file)
         if name and opener is not _open_array:
@@ -201,8 +210,8 @@ def _shorten(error: BaseException) -> str:
 def _choose_opener(file: Path) -> Callable[[Path], VolumeFile]:
     """What opens a volume, by what the file is."""
     if os.path.isdir(file):
-        return _open_array if files_of.is_zarr(file) else _open_folder
-    sidecar = files_of.find_sidecar(file)
+        return _open_array if input_file.is_zarr(file) else _open_folder
+    sidecar = input_file.find_sidecar(file)
     with file.open("rb") as stream:
         is_npy = stream.read(6) == np.lib.format.MAGIC_PREFIX
     openers = ((_open_raw, sidecar.is_file()), (_open_npy, is_npy), (_open_tiff, formats.is_tiff(file)),
@@ -233,7 +242,7 @@ def _lay_planes(path: Path, stored: np.dtype[Any], sizes: tuple[int, ...], offse
 
 
 def _open_raw(path: Path) -> VolumeFile:
-    sidecar = files_of.find_sidecar(path)
+    sidecar = input_file.find_sidecar(path)
     said = {"byte_order": "little", "offset": 0, **parse_toml(read_text(sidecar, "sidecar", "check it"), sidecar)}
     shape, offset = said.get("shape"), said["offset"]
     is_right = {
@@ -277,12 +286,12 @@ def _open_tiff(path: Path) -> VolumeFile:
 
 
 def _open_folder(path: Path) -> VolumeFile:
-    files = files_of.list_parts(path)
+    files = input_file.list_parts(path)
     endings = {file.suffix.lower().replace(".tiff", ".tif") for file in files}
     if len(endings) != 1:
         raise InputError(f"{path}: a folder of {', '.join(sorted(endings)) or 'no'} files; give one of the slices of "
                          "one volume alone")
-    if not endings <= {*files_of.SLICES}:
+    if not endings <= {*input_file.SLICES}:
         return _open_by_itk(path)
     _require_no_gap(files)
     slices = open_slices(files)
@@ -298,7 +307,7 @@ def _open_folder(path: Path) -> VolumeFile:
 
 def _require_no_gap(files: Sequence[Path]) -> None:
     """Refuse slices of which one is missing: the last numbers in their names do not grow by equal steps."""
-    numbers = [[number for is_number, number, _ in files_of.split_numbers(Path(file.stem)) if is_number]
+    numbers = [[number for is_number, number, _ in input_file.split_numbers(Path(file.stem)) if is_number]
                for file in files]
     steps = np.diff([found[-1] for found in numbers]) if all(numbers) else np.zeros(0)
     for k in np.flatnonzero(steps != steps[:1])[:1]:
@@ -322,7 +331,7 @@ def _opened(path: Path, file: Path) -> Any:
 
 
 def _open_array(path: Path) -> VolumeFile:
-    file, name = files_of.split_dataset(path)
+    file, name = input_file.split_dataset(path)
     with _opened(path, file) as opened:
         if name and name not in opened:
             raise InputError(f"{path}: there is no {name} in {file.name}; it holds {', '.join(opened) or 'nothing'}")
@@ -347,7 +356,7 @@ def _choose_array(path: Path, within: Any, name: str) -> str:
     volumes = [key for key, shape in shapes.items() if len(shape) >= 3 and max(shape[:-3], default=1) == 1]
     if len(volumes) != 1:
         listed = ", ".join(f"{key} {shape}" for key, shape in shapes.items() if key in volumes or not volumes)
-        remedy = f"name one: FILE{files_of.DATASET}{volumes[0]}" if volumes else "give another file"
+        remedy = f"name one: FILE{input_file.DATASET}{volumes[0]}" if volumes else "give another file"
         raise InputError(f"{path}: {len(volumes)} arrays of axes z, y, x ({listed or 'no array'}); {remedy}")
     return volumes[0]
 
@@ -362,7 +371,7 @@ def _find_sides(said: Mapping[str, Any], of_array: Mapping[str, Any], name: str)
 
 
 def _read_array(path: Path, name: str, box: Window) -> NDArray[Any]:
-    with _opened(path, files_of.split_dataset(path)[0]) as opened:
+    with _opened(path, input_file.split_dataset(path)[0]) as opened:
         array = opened[name] if name else opened
         return np.asarray(array[(*[0] * (len(array.shape) - 3), *map(slice, box.lower[::-1], box.upper[::-1]))])
 
@@ -402,7 +411,7 @@ def _open_by_itk(path: Path) -> VolumeFile:
     else:
         formats.check_cubes(path, spacing)
     # What is shorter than its voxels is compressed, and of NRRD ITK never reads a box alone.
-    n_bytes = sum(part.stat().st_size for part in files_of.list_parts(path))
+    n_bytes = sum(part.stat().st_size for part in input_file.list_parts(path))
     is_whole = path.is_file() and (n_bytes < prod(sizes) * dtype.itemsize or path.suffix.lower() in (".nrrd", ".nhdr"))
     return VolumeFile(path, sizes, dtype, partial(_read_by_itk, files), is_compressed=True, is_whole=is_whole)
 

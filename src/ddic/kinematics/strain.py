@@ -104,7 +104,7 @@ def compute_hencky(green_lagrange: Array) -> Array:
 
     Both are components, (n, n_components); nan where a length would vanish.
     """
-    values, axes = np.linalg.eigh(_build_tensors(green_lagrange))
+    values, axes = _find_eigenvalues(green_lagrange)
     # ln(1 + 2 E) by way of log1p: strains of 1e-6 keep their digits.
     with np.errstate(invalid="ignore", divide="ignore"):
         logarithms = 0.5 * np.log1p(2.0 * values)
@@ -112,10 +112,21 @@ def compute_hencky(green_lagrange: Array) -> Array:
     return _pick_components(np.einsum("nik,nk,njk->nij", axes, logarithms, axes))
 
 
+def _find_eigenvalues(components: Array) -> tuple[Array, Array]:
+    """Eigenvalues of tensors, (n, n_components), ascending, (n, dim), and their axes; nan where a tensor is unknown."""
+    tensors = _build_tensors(components)
+    unknown = ~np.isfinite(tensors).all(axis=(1, 2))
+    # LAPACK gives up all of them where one is not a number.
+    tensors[unknown] = 0.0
+    values, axes = np.linalg.eigh(tensors)
+    values[unknown] = np.nan
+    return values, axes
+
+
 def find_principal_strains(tensors: Array) -> Array:
     """Find the principal values of tensors, (n, n_components): the largest first, (n, dim)."""
     if tensors.shape[1] > 3:
-        return np.asarray(np.linalg.eigvalsh(_build_tensors(tensors))[:, ::-1])
+        return _find_eigenvalues(tensors)[0][:, ::-1]
     xx, yy, xy = tensors.T
     middle, radius = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     return np.column_stack([middle + radius, middle - radius])

@@ -94,16 +94,15 @@ class Raster:
         """Count the pixels of each cell that other cells hold too, (n_cells,); ``extent`` has all pixels."""
         shared = np.zeros(len(self.n_rows), dtype=np.int64)
         for band in extent.split_rows(max(1, BAND_PIXELS * extent.sizes[-1] // extent.n_pixels)):
-            last_rows = self.first_rows[:, -1] + self.n_rows[:, -1]
-            cells = np.flatnonzero((self.first_rows[:, -1] < band.upper[-1]) & (last_rows > band.lower[-1]))
             n_cells = np.zeros(band.shape, dtype=np.uint16)
-            _add_ones(*self._place_runs(cells, band), n_cells.reshape(-1, band.width))
+            _add_ones(*self._place_runs(np.arange(len(shared)), band), n_cells.reshape(-1, band.width))
             shared += self.sum_by_cell((n_cells > 1).astype(np.uint8), band)
         return shared
 
     def _place_runs(self, cells: IntArray, window: Window) -> tuple[IntArray, IntArray, IntArray]:
         """Rows of a window, one after the other, on which runs of some cells lie, and where these begin and end."""
-        runs, rows, _ = self.find_runs(cells)
+        first, n_rows = self.first_rows[cells, -1], self.n_rows[cells, -1]
+        runs, rows, _ = self.find_runs(cells[(first < window.upper[-1]) & (first + n_rows > window.lower[-1])])
         rows = rows - window.lower[1:]
         inside = ((rows >= 0) & (rows < window.sizes[1:])).all(axis=1)
         starts, stops = (np.clip(ends[runs[inside]] - window.x0, 0, window.width) for ends in (self.starts, self.stops))

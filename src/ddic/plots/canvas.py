@@ -8,7 +8,7 @@ converge, so that none is taken for a result. Places on a picture have numbered 
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -255,6 +255,11 @@ def set_up_axes(axes: Axes, bounds: Bounds, unit: LengthUnit, size: Sequence[flo
     for axis, length in zip((axes.xaxis, axes.yaxis), size, strict=True):
         n_numbers = max(2, min(7, int(length / INCHES_A_NUMBER)))
         axis.set_major_locator(MaxNLocator(nbins=n_numbers, steps=[1, 2, 5, 10]))
+
+
+def list_image_axes(figure: Figure) -> list[Axes]:
+    """List the axes of a figure that show an image or a slice, not curves or bars."""
+    return [axes for axes in figure.axes if axes.yaxis_inverted() and axes.axison]
 
 
 def set_bounds(axes: Axes, bounds: Bounds) -> None:
@@ -515,11 +520,11 @@ PLACE_COLOUR = "#00e5ff"
 """Of marks: seen on the dark and on the bright end of the residual's colours."""
 
 
-def draw_marks(axes: Axes, places: Sequence[tuple[float, float]], size: float = 1.0) -> None:
-    """Draw a circle about each place, pixels, with its number from 1; ``size`` is a pixel's in the axes' unit."""
+def draw_marks(axes: Axes, places: Mapping[int, Sequence[float]], size: float = 1.0) -> None:
+    """Draw a circle about each place, pixels, with its number; ``size`` is a pixel's in the axes' unit."""
     outline = [withStroke(linewidth=3.0, foreground="black")]
     right = axes.get_xlim()[1]
-    for number, (x, y) in enumerate(places, start=1):
+    for number, (x, y) in places.items():
         at = (size * x, size * y)
         axes.plot(*at, "o", markersize=13, markerfacecolor="none", markeredgecolor=PLACE_COLOUR, markeredgewidth=1.8,
                   path_effects=outline, clip_on=False)

@@ -169,7 +169,12 @@ def _has_curves(result: Result) -> bool:
 def find_image(result: Result, which: str = "reference") -> Path | None:
     """Find the reference or the deformed image that a result names; None where it names none, or it is gone."""
     named = str(result.attributes.get(schema.PROVENANCE, {}).get(f"{which}_path", ""))
-    return Path(named) if named and split_dataset(Path(named))[0].exists() else None
+    return Path(named) if named and is_there(Path(named)) else None
+
+
+def is_there(path: Path) -> bool:
+    """Tell whether an image or a volume, which may be a folder or an array in a file, is where a path says."""
+    return split_dataset(path)[0].exists()
 
 
 def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figure:
@@ -177,10 +182,8 @@ def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figu
     figure = _draw_kind(kind, drawing, shared)
     look = drawing.look
     if look.scale_bar is not None:
-        for axes in figure.axes:
-            # The axes of an image, not those of curves.
-            if axes.yaxis_inverted() and axes.axison:
-                canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
+        for axes in canvas.list_image_axes(figure):
+            canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
     if look.title is not None:
         canvas.set_titles(figure, look.title)
     shown = [drawing.other] if kind in OF_BOTH and drawing.other is not None else []

@@ -1,5 +1,7 @@
 """Kinds of pictures, what can be asked of each, and what their files are called; without matplotlib."""
 
+from typing import Literal
+
 CURVES = "curves"
 KINDS = ("partition", "deformed", "displacement", "strain", "sigma", "bias", "residual", "signed-residual",
          "histogram", "independent", "difference", "krylov", "opening", "detection", "near-far", "modes", "corrections",
@@ -15,7 +17,7 @@ ON_SLICES = (*OVER_IMAGE, "residual", "signed-residual", "difference")
 """Kinds that show slices of a volume."""
 
 ANIMATED = ("deformed", "displacement", "strain", "residual", "signed-residual")
-COMPONENTS = ("x", "y", "z", "magnitude")
+COMPONENTS: tuple[Literal["x", "y", "z", "magnitude"], ...] = ("x", "y", "z", "magnitude")
 NUMBERS = ("xx", "yy", "zz", "xy", "yz", "xz", "principal-1", "principal-2", "principal-3", "von-mises")
 """What of a strain is drawn."""
 

@@ -509,7 +509,9 @@ SHOWN_PERCENT = 99.5
 
 def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PIXELS,
                   scale: ColourScale = OF_VALUES, slices: Slices | None = None) -> Figure:
-    """Draw the residual f(x) - g(x + u) by pixel, of a volume on slices, or its RMS by cell without a residual image.
+    """Draw the residual f(x) - g(x + u) by pixel, of a volume in slices, or its RMS by cell without a residual image.
+
+    The title tells the standard deviation of what is looked at: the image, or these slices.
 
     Colours of pixels end at the 99.5 % quantile of absolute values. If ``signed``, 0 is white; else they are absolute
     values. Raises InputError where a sign is asked for and there is no residual image.
@@ -521,7 +523,8 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
                              "output.residual_image = true, or choose --kind residual")
         return _by_cell(result, unit, scale, slices)
     low, high = scale.limits or _span_shown(planes, signed)
-    note = scale.note if scale.limits is not None else f"{SHOWN_PERCENT:g} % of the pixels"
+    pixels = "pixels" if slices is None else "voxels"
+    note = scale.note if scale.limits is not None else f"{SHOWN_PERCENT:g} % of the {pixels}"
     if signed:
         name, symbol, palette = "Signed correlation residual", "$f(x) - g(x + u)$", SIGNED_PALETTE
     else:
@@ -535,7 +538,7 @@ def draw_residual(result: Result, *, signed: bool = False, unit: LengthUnit = PI
         hosts, colours = [axes], planes[0].show(axes, unit.size, **style)
         canvas.set_bounds(axes, bounds)
     else:
-        figure, (views,) = make_views(slices, [f"{title} in these slices"], unit)
+        figure, (views,) = make_views(slices, [title], unit)
         hosts = views.hosts
         for axes, one, plane in zip(views.axes, slices, planes, strict=True):
             colours = plane.show(axes, unit.size, **style)

@@ -11,7 +11,6 @@ from scipy.sparse import csr_array
 
 from ddic.arrays import Array, IntArray
 from ddic.io.result_reader import Result
-from ddic.io.result_schema import AXES
 from ddic.mesh.mesh import Mesh
 from ddic.plots import canvas
 from ddic.plots.canvas import PIXELS, LengthUnit
@@ -152,13 +151,14 @@ def draw_mesh_preview(mesh: Mesh, image: Below, lines: Sequence[Array] = ()) -> 
 
 
 def _draw_mesh_on_slices(mesh: Mesh, slices: Slices, title: str) -> Figure:
-    """The same of a volume; nodes of sets lie within half a cell of a slice."""
+    """The same of a volume; nodes of sets are those of the cells in a slice."""
     figure, (views,) = make_views(slices, [title])
-    half_a_cell = 0.5 * float(np.prod(np.ptp(mesh.nodes, axis=0)) / mesh.n_cells)**(1.0 / 3.0)
     for axes, one in zip(views.axes, slices, strict=True):
         _paint_cells(axes, one, PIXELS, np.tile(FACE, (mesh.n_cells, 1)), FACE_OPACITY, (*PALETTE[4], 1.0))
-        is_near = np.abs(mesh.nodes[:, AXES.index(one.axis)] - one.place) <= half_a_cell
-        _draw_node_sets(axes, mesh, np.where(is_near[:, None], mesh.nodes[:, one.columns], np.nan))
+        places, corners = np.full((mesh.n_nodes, 2), np.nan), mesh.cells[np.unique(one.cells[one.cells >= 0])]
+        near = corners[corners >= 0]
+        places[near] = mesh.nodes[near][:, one.columns]
+        _draw_node_sets(axes, mesh, places)
     _name_what_is_drawn(views.axes[min(1, len(slices) - 1)])
     return figure
 

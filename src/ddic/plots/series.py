@@ -15,12 +15,13 @@ from PIL import Image
 from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.io.replace_on_exit import replaced_on_exit
+from ddic.io.result_schema import AXES
 from ddic.io.series_reader import SeriesHistory
 from ddic.plots import canvas
 from ddic.plots.canvas import PIXELS, LengthUnit
 
 PAGE_INCHES = (7.0, 9.6)
-BLUE, ORANGE = "tab:blue", "tab:orange"
+BLUE, *_ = OF_AXES = ("tab:blue", "tab:orange", "tab:green")
 
 MOST_MARKERS = 60
 """Frames up to which markers are large; a larger value makes curves of long series thick."""
@@ -72,9 +73,10 @@ def _write_title(history: SeriesHistory, name: str) -> str:
 
 
 def _draw_displacement(axes: Axes, history: SeriesHistory, unit: LengthUnit) -> None:
-    """Mean of both components, and between which values they lie."""
-    for component, (colour, symbol) in enumerate(((BLUE, "u_x"), (ORANGE, "u_y"))):
+    """Mean of the components, and between which values they lie."""
+    for component, (colour, axis) in enumerate(zip(OF_AXES, AXES[:history.mean.shape[1]], strict=False)):
         low, high = unit.size * history.lowest[:, component], unit.size * history.highest[:, component]
+        symbol = f"u_{axis}"
         axes.fill_between(history.times, low, high, color=colour, alpha=0.18, linewidth=0,
                           label=f"${symbol}$, least to largest")
         for edge in (low, high):
@@ -85,8 +87,8 @@ def _draw_displacement(axes: Axes, history: SeriesHistory, unit: LengthUnit) -> 
 
 
 def _draw_strain(axes: Axes, history: SeriesHistory) -> None:
-    for k, colour in enumerate((BLUE, ORANGE)):
-        _draw_curve(axes, history, history.principal_strains[:, k], colour, rf"$\varepsilon_{k + 1}$, mean")
+    for k, (colour, values) in enumerate(zip(OF_AXES, history.principal_strains.T, strict=False)):
+        _draw_curve(axes, history, values, colour, rf"$\varepsilon_{k + 1}$, mean")
     axes.margins(y=0.12)
     axes.set_ylabel("principal strain\n[-]")
 

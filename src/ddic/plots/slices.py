@@ -4,14 +4,14 @@ Cells are not cut: a slice is a regular grid of points in a plane, each looked u
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
@@ -61,8 +61,8 @@ class Slice:
         Of the mesh, which the points fill, and what is shown around it: x0, y0, x1, y1 in the plane, voxels.
     shape : (int, int)
         Rows and columns of points.
-    located : Located
-        The points, row by row, in the mesh.
+    search : CellSearch
+        Of the mesh.
     grey : Preview or None
         Grey levels in the plane.
     """
@@ -72,7 +72,7 @@ class Slice:
     box: Bounds
     shown: Bounds
     shape: tuple[int, int]
-    located: Located
+    search: CellSearch
     grey: Preview | None = None
 
     @property
@@ -89,34 +89,48 @@ class Slice:
         """Numbers of the axes across and down."""
         return [AXES.index(name) for name in PLANES[self.axis]]
 
+    def measure_distance(self, position: Array) -> float:
+        """Measure how far a position, (3,), lies from the plane, voxels."""
+        return abs(float(position[AXES.index(self.axis)]) - self.place)
+
+    @cached_property
+    def _located(self) -> Located:
+        """The points, row by row, in the mesh."""
+        points = np.full((*self.shape, 3), self.place)
+        points[..., self.columns] = self.points
+        return self.search.locate(points.reshape(-1, 3))
+
     @property
     def cells(self) -> IntArray:
         """The cell at each point, (rows, columns), -1 where there is none."""
-        return self.located.cells.reshape(self.shape)
+        return self._located.cells.reshape(self.shape)
 
     @property
     def points(self) -> Array:
-        """The points in the plane, (rows, columns, 2), voxels."""
-        return _spread(self.box, self.shape)
+        """The points in the plane, (rows, columns, 2), voxels: the middles of the rectangles that make up the box."""
+        x0, y0, x1, y1 = self.box
+        rows, columns = ((np.arange(n) + 0.5) / n for n in self.shape)
+        return np.stack(np.meshgrid(x0 + columns * (x1 - x0), y0 + rows * (y1 - y0)), axis=-1)
 
     @property
     def edges(self) -> BoolArray:
-        """Points, (rows, columns), before which another cell begins."""
+        """Points, (rows, columns), before which another cell lies."""
         cells, edges = self.cells, np.zeros(self.shape, dtype=bool)
-        edges[:, 1:] = cells[:, 1:] != cells[:, :-1]
-        edges[1:] |= cells[1:] != cells[:-1]
+        edges[1:] = cells[1:] != cells[:-1]
+        edges[:, 1:] |= cells[:, 1:] != cells[:, :-1]
         return edges
 
     def sample(self, mesh: Mesh, values: Array, *, by_cell: bool = False) -> Array:
         """Sample values at nodes or on cells, (n,), at the points, (rows, columns); nan where there is no cell."""
         if by_cell:
             return np.append(values, np.nan)[self.cells]
-        return interpolate_located(mesh, values[:, None], self.located).reshape(self.shape)
+        return interpolate_located(mesh, values[:, None], self._located).reshape(self.shape)
 
     def show(self, axes: Axes, sampled: NDArray[Any], unit: LengthUnit, **style: Any) -> AxesImage:
         """Show what was sampled, values or colours, in a style of ``imshow``, over the grey levels."""
         x0, y0, x1, y1 = _convert(self.box, unit)
-        drawn = axes.imshow(sampled, interpolation="nearest", rasterized=True, extent=(x0, x1, y1, y0), **style)
+        drawn = axes.imshow(sampled, rasterized=True, extent=(x0, x1, y1, y0), zorder=1,
+                            **style)
         if self.grey is not None:
             self.grey.draw(axes, unit.size)
         self.set_bounds(axes, unit)
@@ -145,6 +159,12 @@ Slices = tuple[Slice, ...]
 
 Below = Preview | Slices | None
 """What values are drawn over: an image, or nothing; of a volume slices, with its grey levels where they are known."""
+
+
+def list_grey_levels(below: Below) -> NDArray[Any]:
+    """List the grey levels that are shown, (n,), of an image or of all slices of a volume."""
+    previews = [one.grey for one in below] if isinstance(below, tuple) else [below]
+    return np.concatenate([preview.pixels.ravel() for preview in previews if preview is not None])
 
 
 def _convert(bounds: Bounds, unit: LengthUnit) -> Bounds:
@@ -181,13 +201,11 @@ def _make_slice(search: CellSearch, volume: ImageSource | None, axis: str, place
     x0, y0, x1, y1 = box = (*low[columns].tolist(), *high[columns].tolist())
     gap = MARGIN * longest
     shown = (x0 - gap, y0 - gap, x1 + gap, y1 + gap)
-    points = np.full((n_rows, n_columns, 3), place)
-    points[..., columns] = _spread(box, (n_rows, n_columns))
-    made = Slice(axis, place, box, shown, (n_rows, n_columns), search.locate(points.reshape(-1, 3)))
+    made = Slice(axis, place, box, shown, (n_rows, n_columns), search)
     if volume is None:
         return made
     grey = made.read(volume.read, volume.extent)
-    return Slice(axis, place, box, grey.clip(shown), made.shape, made.located, grey)
+    return replace(made, grey=grey, shown=grey.clip(shown))
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +224,6 @@ class Views:
     hosts: list[Axes]
 
 
-def _spread(box: Bounds, shape: tuple[int, int]) -> Array:
-    """Points in the middle of as many rectangles as make up a box, (rows, columns, 2)."""
-    x0, y0, x1, y1 = box
-    rows, columns = ((np.arange(n) + 0.5) / n for n in shape)
-    return np.stack(np.meshgrid(x0 + columns * (x1 - x0), y0 + rows * (y1 - y0)), axis=-1)
-
-
 def make_views(slices: Slices, titles: Sequence[str], unit: LengthUnit = PIXELS, *,
                beside: float = canvas.RIGHT_INCHES) -> tuple[Figure, list[Views]]:
     """Make a figure with the slices below each title: one of each axis as orthogonal views, others as panels.
@@ -227,16 +238,24 @@ def make_views(slices: Slices, titles: Sequence[str], unit: LengthUnit = PIXELS,
         figure, panels = canvas.make_panels(boxes * len(titles), named, unit, beside=beside)
         by_title = [panels[k:k + len(slices)] for k in range(0, len(panels), len(slices))]
         views = [Views(axes, axes) for axes in by_title]
+        for axes, one in zip(panels, slices * len(titles), strict=True):
+            across, down = (f"{name} [{unit.name}]" for name in PLANES[one.axis])
+            axes.set(xlabel=across, ylabel=down)
     for of_title in views:
         for axes, one in zip(of_title.axes, slices, strict=True):
-            across, down = list(PLANES[one.axis])
-            axes.set(xlabel=f"{across} [{unit.name}]", ylabel=f"{down} [{unit.name}]")
-            for other in slices:
-                draw = {across: axes.axvline, down: axes.axhline}.get(other.axis)
-                if draw is not None:
-                    draw(unit.size * other.place, color="white", linewidth=0.5, zorder=canvas.OVER_ALL,
-                         path_effects=[withStroke(linewidth=1.2, foreground="black", alpha=0.5)])
+            _mark_places(axes, one, slices, unit)
     return figure, views
+
+
+def _mark_places(axes: Axes, one: Slice, others: Slices, unit: LengthUnit) -> None:
+    """Lines on a slice where others cut it."""
+    for other in others:
+        if other.axis == one.axis:
+            continue
+        draw = axes.axvline if other.axis == PLANES[one.axis][0] else axes.axhline
+        # White dashes on black are seen on all colours.
+        for colour, style in (("black", "-"), ("white", (0, (3, 3)))):
+            draw(unit.size * other.place, color=colour, linestyle=style, linewidth=0.6, zorder=canvas.OVER_ALL)
 
 
 def _make_orthogonal(slices: Slices, titles: Sequence[str], unit: LengthUnit,
@@ -253,6 +272,7 @@ def _make_orthogonal(slices: Slices, titles: Sequence[str], unit: LengthUnit,
     views = []
     for host in hosts:
         host.set_axis_off()
+        host.set(xlabel="", ylabel="")
         place = host.get_position()
         drawn = []
         for one in slices:
@@ -261,6 +281,10 @@ def _make_orthogonal(slices: Slices, titles: Sequence[str], unit: LengthUnit,
             axes = figure.add_axes((*(place.p0 + place.size * np.array([corner[0], below])), *(place.size * share)))
             canvas.set_up_axes(axes, boxes[one.axis], unit, place.size * share * figure.get_size_inches())
             axes.set_title(one.describe(unit), loc="left", fontsize=NAME_POINTS, pad=3.0)
+            # Numbers and name of an axis that two share stand at the outer one.
+            axes.tick_params(labelbottom=one.axis != "z", labelleft=one.axis != "x")
+            across, down = (f"{name} [{unit.name}]" for name in PLANES[one.axis])
+            axes.set(xlabel="" if one.axis == "z" else across, ylabel="" if one.axis == "x" else down)
             drawn.append(axes)
         views.append(Views(drawn, [host]))
     return figure, views

@@ -149,7 +149,7 @@ class StrainGauge:
     direction: Place | None = None
 
     def __post_init__(self) -> None:
-        _require_places(self.name, self.centre, self.direction or self.centre)
+        _require_places(self.name, self.centre, self.centre if self.direction is None else self.direction)
         _require_finite(self.name, *self.centre, self.length, self.across, self.angle)
         _require_positive(self.name, "length", self.length)
         _require_positive(self.name, "width", self.across)
@@ -185,8 +185,8 @@ class StrainGauge:
             turned = math.radians(self.angle)
             along = np.array([math.cos(turned), math.sin(turned)])
             return np.array([along, [-along[1], along[0]]])
-        way = np.array(self.direction or (1.0, 0.0, 0.0))
-        along = way / np.linalg.norm(way)
+        way = (1.0, 0.0, 0.0) if self.direction is None else self.direction
+        along = np.array(way) / math.hypot(*way)
         farthest = np.eye(3)[np.argmin(np.abs(along))]
         across = farthest - along * (along @ farthest)
         across /= np.linalg.norm(across)
@@ -346,9 +346,10 @@ def _is_number(value: Any) -> bool:
 
 Measure = Literal["infinitesimal", "green-lagrange", "hencky"]
 
-MOST_SAMPLES = {2: 64, 3: 32}
+MOST_SAMPLES = {2: 64, 3: 40}
 """Places along each side of a strain gauge, in the plane and in a volume, at which its plane is fitted; there is one a
-pixel of small ones. More change the plane by less than a thousandth, and take longer."""
+pixel of small ones. More change the plane by less than a thousandth, and take longer. A gauge of as many elements a
+side, or more, has more noise than is predicted."""
 
 FEWEST_SAMPLES = 4
 """The least number of them, for gauges of a few pixels."""

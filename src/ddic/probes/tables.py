@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ddic.arrays import Array
 from ddic.io import result_schema as schema
+from ddic.io.mesh_file import convert_to_meshio
 from ddic.io.replace_on_exit import replaced_on_exit, replaced_together
 from ddic.io.result_reader import Result, clip_result
 from ddic.mesh.interpolation import locate
@@ -182,6 +183,28 @@ def write_field_tables(path: Path | str, result: Result) -> tuple[Path, Path]:
                                 (cells, _list_columns(result, "cell", mesh.centroids, result.cell_data))):
             _write_csv(files.begin(target), columns, zip(*map(_format_column, columns.values()), strict=True))
     return nodes, cells
+
+
+def write_vtu(path: Path | str, result: Result) -> None:
+    """Write a result's mesh and all its fields as a VTU file, for programs that do not read VTKHDF; in pixels.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    result : Result
+        What was measured.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be written to.
+    """
+    raw = convert_to_meshio(result.mesh, result.point_data, result.cell_data)
+    with replaced_on_exit(Path(path)) as temporary:
+        raw.write(temporary, file_format="vtu")
+        with temporary.open("a", encoding="ascii") as stream:
+            stream.write("<!-- written by ddic export -->\n")
 
 
 def list_field_tables(path: Path) -> tuple[Path, Path]:

@@ -1,8 +1,9 @@
 """What good-practices guides for DIC ask to be stated, with its value or that it is not recorded.
 
 The items are those that the International Digital Image Correlation Society's guide (2018) asks of one camera and a
-plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them. How the
-images were taken is told in the words of the case, beside what they are like, and where the residual is worst.
+plane specimen, said for finite elements: an element stands where a subset does. docs/report.md compares them. They are
+said of volumes likewise. How the images were taken is told in the words of the case, beside what they are like, and
+where the residual is worst.
 All of it comes from a result, its summary and, where they are still there, its images.
 """
 
@@ -17,14 +18,19 @@ from typing import Any
 
 import numpy as np
 
+from ddic.arrays import Array
 from ddic.errors import InputError
 from ddic.images.binned import BLUR_NOTE
 from ddic.images.grey_levels import measure_feature_size, measure_grey_levels
+from ddic.images.source import ImageSource
+from ddic.images.window import Window
 from ddic.io import result_schema as schema
 from ddic.io.image_file import ImageFile, open_image
 from ddic.io.result_reader import Result
+from ddic.io.volume_file import hold_source
 from ddic.mesh.quality import measure_covered_areas
 from ddic.plots.canvas import find_length_unit
+from ddic.plots.figures import find_image, is_there
 from ddic.probes.metrology import Metrology, estimate_metrology, find_chain
 from ddic.probes.probes import PointProbe
 
@@ -47,8 +53,8 @@ class Gathered:
         The validated case with all defaults; empty where it is not recorded.
     summary : dict
         Of the run; empty where its file is not beside the result.
-    images : dict of ImageFile
-        ``reference`` and ``deformed``, those of them that are still there.
+    images : dict of ImageSource
+        ``reference`` and ``deformed``, images or volumes, those of them that are still there.
     absent : tuple of str
         What could not be found, one sentence each.
     """
@@ -56,8 +62,23 @@ class Gathered:
     result: Result
     case: Mapping[str, Any]
     summary: Mapping[str, Any]
-    images: Mapping[str, ImageFile]
+    images: Mapping[str, ImageSource]
     absent: tuple[str, ...]
+
+    @property
+    def is_of_volumes(self) -> bool:
+        """Whether volumes were measured, not images."""
+        return self.result.mesh.dim == 3
+
+    @property
+    def imaging_name(self) -> str:
+        """The section of the case that names them."""
+        return "volumes" if self.is_of_volumes else "images"
+
+    @property
+    def imaging(self) -> Mapping[str, Any]:
+        """What that section says."""
+        return self.get_section(self.imaging_name)
 
     def get_section(self, name: str) -> Mapping[str, Any]:
         """Get a section of the case, such as ``images``; empty where the case has none."""
@@ -94,21 +115,20 @@ def gather_all(result: Result, image: Path | None = None) -> Gathered:
     """
     absent: list[str] = []
     summary = _read_summary(result, absent)
-    named = result.attributes.get(schema.PROVENANCE, {})
-    paths = {name: Path(str(named.get(f"{name}_path", ""))) for name in ("reference", "deformed")}
-    if image is not None:
-        paths["reference"] = image
-    images = {}
-    for name, path in paths.items():
-        if path.is_file():
-            images[name] = open_image(path)
-        elif name == "reference" and image is not None:
-            raise InputError(f"{path}: no such image; check --image")
-        else:
-            # In place of a file's name, images of arrays are told by what they are.
-            in_memory = not path.is_absolute() and not path.suffix
-            where = "was in memory" if in_memory else f"is no longer at {path}"
-            absent.append(f"The {name} image {where}: what it alone tells is not in this report.")
+    if image is not None and not is_there(image):
+        raise InputError(f"{image}: no such image; check --image")
+    images: dict[str, ImageSource] = {}
+    kind = "image" if result.mesh.dim == 2 else "volume"
+    for name, asked in (("reference", image), ("deformed", None)):
+        path = asked or find_image(result, name)
+        if path is not None:
+            images[name] = open_image(path) if result.mesh.dim == 2 else hold_source(path, 3)
+            continue
+        named = Path(str(result.attributes.get(schema.PROVENANCE, {}).get(f"{name}_path", "")))
+        # In place of a file's name, images of arrays are told by what they are.
+        in_memory = not named.is_absolute() and not named.suffix
+        where = "was in memory" if in_memory else f"is no longer at {named}"
+        absent.append(f"The {name} {kind} {where}: what it alone tells is not in this report.")
     return Gathered(result, schema.get_case(result.attributes), summary, images, tuple(absent))
 
 
@@ -138,20 +158,28 @@ Items = list[tuple[str, str]]
 N_WINDOWS = 15
 """Places at which the pattern is looked at, spread over the elements."""
 
-OF_SETUP = (("Specimen", "specimen"), ("Camera", "camera"), ("Lens", "lens"), ("Aperture", "aperture"),
+OF_SETUP: Items = [("Specimen", "specimen"), ("Camera", "camera"), ("Lens", "lens"), ("Aperture", "aperture"),
             ("Stand-off distance", "stand_off_distance"), ("Lighting", "lighting"), ("Exposure time", "exposure"),
-            ("Image acquisition rate", "image_rate"), ("Patterning technique", "patterning"))
+            ("Image acquisition rate", "image_rate"), ("Patterning technique", "patterning")]
 """What the user alone knows: its name in the report, its key in ``[acquisition]``."""
+
+OF_SCANS: Items = [("Specimen", "specimen"), ("Scanner", "camera"),
+                   ("Source: voltage, current, filter", "lighting"),
+                   ("Distances of source, specimen and detector", "stand_off_distance"),
+                   ("Projections and exposure time", "exposure"), ("Scanning rate", "image_rate"),
+                   ("Origin of the texture", "patterning")]
+"""The same of volumes."""
 
 
 def _list_setup(gathered: Gathered) -> Items:
     """List what the case says of the set-up, in its own words; where it says nothing, the key that would."""
-    section, shape = gathered.get_section("images"), _parse_size(gathered)
-    items = [(name, _quote(gathered, key)) for name, key in OF_SETUP]
-    size, unit = section.get("pixel_size"), section.get("length_unit", "px")
-    scale = view = f"{NOT_STATED}: images.pixel_size" if gathered.case else NOT_RECORDED
+    section, shape = gathered.imaging, _parse_size(gathered)
+    items = [(name, _quote(gathered, key)) for name, key in (OF_SCANS if gathered.is_of_volumes else OF_SETUP)]
+    key, pixel = ("voxel_size", "voxel") if gathered.is_of_volumes else ("pixel_size", "px")
+    size, unit = section.get(key), section.get("length_unit", "px")
+    scale = view = f"{NOT_STATED}: {gathered.imaging_name}.{key}" if gathered.case else NOT_RECORDED
     if size:
-        scale = f"{size:g} {unit} per px ({1.0 / size:.4g} px per {unit})"
+        scale = f"{size:g} {unit} per {pixel} ({1.0 / size:.4g} px per {unit})"
         view = " x ".join(f"{size * side:.4g} {unit}" for side in shape) if shape else NOT_RECORDED
     times = [gathered.get_attribute(schema.TIME, name) for name in ("reference", "deformed")]
     stamps = NOT_RECORDED if None in times else f"{times[0]:g} (reference), {times[1]:g} (deformed)"
@@ -164,36 +192,40 @@ def _quote(gathered: Gathered, key: str) -> str:
     return str(gathered.get_section("acquisition").get(key) or missing)
 
 
-def _parse_size(gathered: Gathered) -> tuple[int, int] | None:
-    """Width and height of the images, pixels."""
+def _parse_size(gathered: Gathered) -> tuple[int, ...]:
+    """Width and height of the images, and depth of volumes, pixels; empty where they are not recorded."""
     text = str(gathered.get_attribute(schema.PROVENANCE, "reference_size") or "")
-    parts = text.split("x")
-    return (int(parts[0]), int(parts[1])) if len(parts) == 2 else None
+    return tuple(map(int, text.split("x"))) if text else ()
 
 
 def _list_images(gathered: Gathered) -> Items:
     """Sizes, grey levels, features and noise of the images, where they still are, and what was done to them."""
-    section, shape = gathered.get_section("images"), _parse_size(gathered)
+    section, shape = gathered.imaging, _parse_size(gathered)
     levels = [(f"Grey levels, {name}", _describe_levels(gathered.images.get(name)))
               for name in ("reference", "deformed")]
     masks = [f"{what} image" for what in ("reference", "deformed") if section.get(f"{what}_mask")]
+    masks += ["reference volume"] if section.get("mask") else []
     n_shapes = len(section.get("masked", ()))
     masks += [f"{n_shapes} shapes drawn on the reference image"] if n_shapes else []
-    return [("Image size", f"{shape[0]} x {shape[1]} px" if shape else NOT_RECORDED), *levels,
-            ("Feature size of the pattern", _describe_features(gathered)), ("Image noise", _describe_noise(gathered)),
+    kind, pixels = ("Volume", "voxels") if gathered.is_of_volumes else ("Image", "pixels")
+    return [(f"{kind} size", f"{' x '.join(map(str, shape))} px" if shape else NOT_RECORDED), *levels,
+            ("Feature size of the pattern", _describe_features(gathered)),
+            (f"{kind} noise", _describe_noise(gathered)),
             ("Masks", " and ".join(masks) or "none" if section else NOT_RECORDED),
-            ("Saturated pixels", "left out" if section.get("exclude_saturated") else "used"),
+            (f"Saturated {pixels}", "left out" if section.get("exclude_saturated") else "used"),
             ("Image processing before ddic", _quote(gathered, "processing")),
             ("Image filtering by ddic", _describe_filtering(gathered))]
 
 
-def _describe_levels(image: ImageFile | None) -> str:
+def _describe_levels(image: ImageSource | None) -> str:
     if image is None:
         return f"{NOT_RECORDED}: the image is not there"
     levels = measure_grey_levels(image)
     saturated = "none can be" if levels.saturation is None else (
-        f"{100 * levels.n_saturated / (image.width * image.height):.3g} %")
-    return (f"{image.layout.bits} bit, {levels.lowest:g} to {levels.highest:g}, mean {levels.mean:.4g}, "
+        f"{100 * levels.n_saturated / image.extent.n_pixels:.3g} %")
+    first = Window.between(image.extent.lower, np.add(image.extent.lower, 1))
+    n_bits = image.layout.bits if isinstance(image, ImageFile) else 8 * image.read(first).dtype.itemsize
+    return (f"{n_bits} bit, {levels.lowest:g} to {levels.highest:g}, mean {levels.mean:.4g}, "
             f"RMS gradient {math.sqrt(levels.gradient_energy):.3g} per px; saturated: {saturated}")
 
 
@@ -208,7 +240,7 @@ def _describe_features(gathered: Gathered) -> str:
 
 def _describe_noise(gathered: Gathered) -> str:
     """Of an image, grey levels."""
-    section, residual = gathered.get_section("images"), gathered.last_residual
+    section, residual = gathered.imaging, gathered.last_residual
     measured = gathered.get_attribute(schema.UNCERTAINTY, "noise_grey")
     if measured is not None:
         return f"{measured:.3g} grey levels ({gathered.get_attribute(schema.UNCERTAINTY, 'noise_origin')})"
@@ -216,9 +248,10 @@ def _describe_noise(gathered: Gathered) -> str:
         return f"{section['noise']:g} grey levels (given in the case)"
     if math.isnan(residual):
         return NOT_RECORDED
-    rest = ("images.at_rest is measured with output.uncertainty = true alone" if section.get("at_rest") else
-            "no static pair is recorded")
-    return f"{residual / math.sqrt(2.0):.3g} grey levels in each image, were the residual all noise; {rest}"
+    rest = (f"{gathered.imaging_name}.at_rest is measured with output.uncertainty = true alone"
+            if section.get("at_rest") else "no static pair is recorded")
+    of_each = gathered.imaging_name.removesuffix("s")
+    return f"{residual / math.sqrt(2.0):.3g} grey levels in each {of_each}, were the residual all noise; {rest}"
 
 
 def _describe_filtering(gathered: Gathered) -> str:
@@ -248,9 +281,12 @@ def _list_formulation(gathered: Gathered) -> Items:
     """Elements, criterion, interpolation."""
     result, correlation = gathered.result, gathered.get_section("correlation")
     areas, _ = measure_covered_areas(result.mesh)
+    technique, shapes, root, pixels = (("DVC", "linear and trilinear", "cube root of the volume", "Voxels")
+                                       if gathered.is_of_volumes else
+                                       ("DIC", "linear and bilinear", "root of the area", "Pixels"))
     kinds = ", ".join(f"{len(block.cells)} {block.type.name}" for block in result.mesh.cell_blocks)
-    sides = np.sqrt(areas)
-    spread = f"{sides.min():.3g} to {sides.max():.3g} px, mean {sides.mean():.3g} px (root of the area)"
+    sides = areas**(1.0 / result.mesh.dim)
+    spread = f"{sides.min():.3g} to {sides.max():.3g} px, mean {sides.mean():.3g} px ({root})"
     n_pixels = result.cell_data.get(schema.RESIDUAL_N_PIXELS)
     counted = NOT_RECORDED if n_pixels is None else f"{n_pixels.min()} to {n_pixels.max()}, mean {n_pixels.mean():.4g}"
     degree = correlation.get("spline_degree")
@@ -258,11 +294,11 @@ def _list_formulation(gathered: Gathered) -> Items:
         ("Software", f"ddic {gathered.get_attribute(schema.PROVENANCE, 'ddic') or NOT_RECORDED}, commit "
                      f"{gathered.get_attribute(schema.PROVENANCE, 'commit') or NOT_RECORDED}"),
         ("Method", "global DIC by products of functions of x and of y (PGD-DIC)" if result.separated is not None else
-                   "global DIC by finite elements"),
-        ("Shape functions (of a subset: order)", f"linear and bilinear: {kinds}"),
+                   f"global {technique} by finite elements"),
+        ("Shape functions (of a subset: order)", f"{shapes}: {kinds}"),
         ("Element size (subset size and step)", spread),
         ("Unknowns", f"{result.mesh.n_dofs} on {result.mesh.n_nodes} nodes"),
-        ("Pixels compared per element", counted),
+        (f"{pixels} compared per element", counted),
         ("Matching criterion", "sum of squared differences f(x) - g(x + u); grey levels corrected: "
                                f"{_describe_grey(gathered)}"),
         ("Interpolation", f"B-spline of degree {degree}" if degree else NOT_RECORDED),
@@ -281,9 +317,10 @@ def _describe_window(gathered: Gathered) -> str:
     spacing = find_chain(gathered.result, np.empty(0, np.int64)).spacing
     is_nodal = schema.NODAL_HENCKY in gathered.result.point_data
     n_elements, place = (2, "the elements around a node") if is_nodal else (1, "one element")
+    pixels = "voxels" if gathered.is_of_volumes else "pixels"
     # The nodes at the ends of the window take part in elements beyond it.
-    return (f"{place}, {n_elements * spacing:.3g} px across; held by pixels over {(n_elements + 2) * spacing:.3g} px, "
-            "which subsets call the virtual strain gauge, without regularisation")
+    return (f"{place}, {n_elements * spacing:.3g} px across; held by {pixels} over "
+            f"{(n_elements + 2) * spacing:.3g} px, which subsets call the virtual strain gauge, without regularisation")
 
 
 def _describe_grey(gathered: Gathered) -> str:
@@ -315,20 +352,21 @@ def _list_regularization(gathered: Gathered) -> Items:
          f"{shear:.4g} px (shear), {longitudinal:.4g} px (longitudinal)" if shear else NOT_RECORDED),
     ]
     if of_gap:
-        items += [("Material", _describe_material(section)),
+        plane = "" if gathered.is_of_volumes else f", plane {section['plane']}"
+        items += [("Material", _describe_material(section, plane)),
                   ("Not controlled", ", ".join(section.get("not_controlled", ())) or "none")]
     return items
 
 
-def _describe_material(section: Mapping[str, Any]) -> str:
+def _describe_material(section: Mapping[str, Any], plane: str) -> str:
     """What the equilibrium gap takes the specimen for; a case of long ago knows no composites."""
-    nu, plane = section["poisson_ratio"], section["plane"]
+    nu = section["poisson_ratio"]
     young, shear = section.get("young_ratio", 1.0), section.get("shear_ratio")
     if young == 1.0 and shear is None:
-        return f"isotropic, Poisson's ratio {nu:g}, plane {plane}"
+        return f"isotropic, Poisson's ratio {nu:g}{plane}"
     modulus = 1 / (2 * (1 + nu)) if shear is None else shear
     return (f"orthotropic, E1 / E2 = {young:g}, G12 / E2 = {modulus:.4g}, nu12 = {nu:g}, axis 1 at "
-            f"{section['material_angle_degrees']:g} degrees from +x to +y, plane {plane}")
+            f"{section['material_angle_degrees']:g} degrees from +x to +y{plane}")
 
 
 def _list_convergence(gathered: Gathered) -> Items:
@@ -372,7 +410,8 @@ def _list_metrology(gathered: Gathered) -> Items:
          f"{write_length(known.strain_resolution)} (90 % of a wave's amplitude)"),
         ("Strain noise x resolution squared", write_number(known.strain_indicator, "{:.3g} px²")),
         ("How noise is known", _describe_source(gathered)),
-        ("Bias", "not estimated here: ddic uncertainty measures known displacements of the reference image"),
+        ("Bias", "not estimated here" if gathered.is_of_volumes else
+                 "not estimated here: ddic uncertainty measures known displacements of the reference image"),
     ]
 
 
@@ -393,11 +432,11 @@ def _describe_source(gathered: Gathered) -> str:
 def find_field_metrology(gathered: Gathered) -> Metrology:
     """Find resolution, of the mesh's mean element size, and noise, of all nodes, of the field as read at nodes."""
     result = gathered.result
-    deviations = [result.point_data[name] for name in ("sigma_u", "sigma_v") if name in result.point_data]
+    deviations = [result.point_data[name] for name in schema.SIGMA_DISPLACEMENT if name in result.point_data]
     level = math.sqrt(np.nanmean(np.square(deviations))) if deviations else math.nan
     noise = level if math.isfinite(level) else gathered.noise_floor
     # Outside of the mesh: of all its cells.
-    outside = PointProbe("field", (float(result.mesh.nodes[:, 0].min()) - 1e3, 0.0))
+    outside = PointProbe("field", tuple((result.mesh.nodes.min(axis=0) - 1e3).tolist()))
     return estimate_metrology(result, outside, noise)
 
 
@@ -412,7 +451,7 @@ EXCLUDED = {1: "excluded: no texture", 2: "excluded: it shows something else tha
             5: "excluded: masked, or saturated, in the reference image"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WorstPlace:
     """A cell with a large residual, the largest about.
 
@@ -420,7 +459,7 @@ class WorstPlace:
     ----------
     number : int
         From 1, the worst.
-    x, y : float
+    position : (dim,) array
         Middle of the cell, pixels.
     residual_rms : float
         Grey levels.
@@ -431,8 +470,7 @@ class WorstPlace:
     """
 
     number: int
-    x: float
-    y: float
+    position: Array
     residual_rms: float
     equivalent_error: float
     verdict: str
@@ -457,6 +495,6 @@ def _describe(result: Result, number: int, cell: int) -> WorstPlace:
     values = {name: float(of_cells[cell]) for name, of_cells in result.cell_data.items() if of_cells.ndim == 1}
     judged = ("doubtful: the residual is that of a wrong displacement" if values.get(schema.DOUBTFUL) else
               "not doubtful")
-    x, y = map(float, result.mesh.centroids[cell])
-    return WorstPlace(number, x, y, values[schema.RESIDUAL_RMS], values.get(schema.EQUIVALENT_ERROR, math.nan),
+    return WorstPlace(number, result.mesh.centroids[cell], values[schema.RESIDUAL_RMS],
+                      values.get(schema.EQUIVALENT_ERROR, math.nan),
                       EXCLUDED.get(int(values.get(schema.EXCLUDED, 0)), judged))

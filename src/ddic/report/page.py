@@ -18,8 +18,10 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
 from ddic.io.series_reader import gather_history, is_series_file, read_series
 from ddic.plots import curves, maps
-from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit
+from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit, list_image_axes
+from ddic.plots.kinds import COMPONENTS
 from ddic.plots.series import draw_time_curves
+from ddic.plots.slices import Below, Slices, choose_slices, list_grey_levels
 from ddic.report import items
 
 DPI = 110
@@ -36,13 +38,15 @@ def draw_report_figures(gathered: items.Gathered, places: Sequence[items.WorstPl
     Sections are series (of a pair empty), fields, residual, convergence and histograms; ``places`` are marked in the
     residual.
     """
-    previews = {name: maps.read_preview(image) for name, image in gathered.images.items()}
+    # Of each image, or at the same places of each volume.
+    shown = {name: maps.read_below(gathered.result.mesh, image) for name, image in gathered.images.items()}
+    reference = shown.get("reference") or maps.read_below(gathered.result.mesh, None)
     drawn = {
         "series": _draw_series(gathered),
-        "fields": _draw_fields(gathered, previews.get("reference")),
-        "residual": [_draw_marked_residual(gathered, places)],
+        "fields": _draw_fields(gathered, reference),
+        "residual": _draw_residual(gathered, places),
         "convergence": _draw_curves(gathered),
-        "histograms": _draw_histograms(gathered, previews),
+        "histograms": _draw_histograms(gathered, shown),
     }
     for of_section in drawn.values():
         for _, _, figure in of_section:
@@ -59,30 +63,58 @@ def _draw_series(gathered: items.Gathered) -> list[Drawn]:
     return [("curves", "All frames over time; the other pictures are of one of them.", figure)]
 
 
-def _draw_fields(gathered: items.Gathered, image: maps.Preview | None) -> list[Drawn]:
-    """Displacement and strain over the image, and the deformed mesh."""
-    result, unit = gathered.result, find_length_unit(gathered.result)
-    over = "over the reference image" if image is not None else "on the mesh; the reference image is not there"
+def _draw_fields(gathered: items.Gathered, image: Below) -> list[Drawn]:
+    """Displacement and strain over the image, and the deformed mesh; of a volume on slices."""
+    result, unit, dim = gathered.result, find_length_unit(gathered.result), gathered.result.mesh.dim
+    what = "image" if dim == 2 else "volume"
+    over = (f"over the reference {what}" if "reference" in gathered.images else
+            f"on the mesh; the reference {what} is not there")
     drawn: list[Drawn] = [(f"displacement {axis}", f"Displacement u_{axis} {over}.",
-                           maps.draw_displacement(result, image, axis, unit)) for axis in ("x", "y")]
+                           maps.draw_displacement(result, image, axis, unit)) for axis in COMPONENTS[:dim]]
     by_cell = schema.NODAL_INFINITESIMAL not in result.point_data
     where = "in the middle of elements" if by_cell else "at nodes"
     if not by_cell or schema.STRAIN_INFINITESIMAL in result.cell_data:
-        for pair in ("xx", "yy", "xy"):
-            choice = maps.StrainChoice("infinitesimal", pair, by_cell)
-            drawn.append((f"strain {pair}", f"Infinitesimal strain {pair} {where}, {over}.",
+        # Of six components of a volume those that say most, and what all come to.
+        for number in ("xx", "yy", "xy") if dim == 2 else ("xx", "yy", "zz", "von-mises"):
+            choice = maps.StrainChoice("infinitesimal", number, by_cell)
+            drawn.append((f"strain {number}", f"Infinitesimal strain {number} {where}, {over}.",
                           maps.draw_strain(result, choice, image, unit)))
+    if dim == 3:
+        return drawn
     caption = "The deformed mesh without its rigid motion, amplified as the title says, over the mesh at rest."
     return [*drawn, ("deformed mesh", caption, maps.draw_deformed(result, unit=unit))]
 
 
-def _draw_marked_residual(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> Drawn:
-    unit = find_length_unit(gathered.result)
-    figure = maps.draw_residual(gathered.result, unit=unit)
-    draw_marks(figure.axes[0], [(place.x, place.y) for place in places], unit.size)
-    what = "by pixel" if gathered.result.residual_image is not None else "by element (no residual image was written)"
-    return ("residual", f"Correlation residual {what}. Even noise is what a good measurement leaves; the numbered "
-                        "places have the largest residuals.", figure)
+def _draw_residual(gathered: items.Gathered, places: Sequence[items.WorstPlace]) -> list[Drawn]:
+    """The residual with the worst places; of a volume views through the first of them and slices through the others."""
+    what = "by element (no residual image was written)"
+    if gathered.result.residual_extent is not None:
+        what = "by pixel" if gathered.result.mesh.dim == 2 else "by voxel"
+    caption = (f"Correlation residual {what}. Even noise is what a good measurement leaves; the numbered places have "
+               "the largest residuals.")
+    if gathered.result.mesh.dim == 2:
+        return [("residual", caption, _mark_residual(gathered, places, None))]
+    centres = [np.rint(place.position).tolist() for place in places]
+    first = [list(zip(schema.AXES, centre, strict=True)) for centre in centres[:1]] or [[]]
+    drawn = [("residual", caption, _mark_residual(gathered, places, choose_slices(gathered.result.mesh, None, *first)))]
+    heights = sorted({z for _, _, z in centres[1:]})
+    if heights:
+        others = choose_slices(gathered.result.mesh, None, [("z", z) for z in heights])
+        drawn.append(("residual elsewhere", "The same across the other numbered places.",
+                      _mark_residual(gathered, places, others)))
+    return drawn
+
+
+def _mark_residual(gathered: items.Gathered, places: Sequence[items.WorstPlace], slices: Slices | None) -> Figure:
+    """The residual with the worst places that lie in the image, or within half an element of slices of a volume."""
+    mesh, unit = gathered.result.mesh, find_length_unit(gathered.result)
+    figure = maps.draw_residual(gathered.result, unit=unit, slices=slices)
+    half = 0.5 * float(np.prod(np.ptp(mesh.nodes, axis=0)) / mesh.n_cells)**(1.0 / mesh.dim)
+    for axes, one in zip(list_image_axes(figure), slices or [None], strict=True):
+        near = [place for place in places if one is None or one.measure_distance(place.position) <= half]
+        columns = [0, 1] if one is None else one.columns
+        draw_marks(axes, {place.number: place.position[columns].tolist() for place in near}, unit.size)
+    return figure
 
 
 def _draw_curves(gathered: items.Gathered) -> list[Drawn]:
@@ -100,15 +132,15 @@ def _draw_curves(gathered: items.Gathered) -> list[Drawn]:
     return drawn
 
 
-def _draw_histograms(gathered: items.Gathered, previews: dict[str, maps.Preview]) -> list[Drawn]:
+def _draw_histograms(gathered: items.Gathered, shown: Mapping[str, Below]) -> list[Drawn]:
     drawn: list[Drawn] = []
-    residual = gathered.result.residual_image
-    if residual is not None:
+    if gathered.result.residual_extent is not None:
         caption = "The residual beside a normal distribution: what stands above it in the tails is not noise."
-        drawn.append(("residual histogram", caption, curves.draw_residual_histogram(residual)))
-    if previews:
-        pixels = {name: preview.pixels for name, preview in previews.items()}
-        drawn.append(("grey-level histogram", "Grey levels of the images.", curves.draw_grey_histogram(pixels)))
+        drawn.append(("residual histogram", caption, curves.draw_residual_histogram(gathered.result)))
+    if shown:
+        where = "images" if gathered.result.mesh.dim == 2 else "volumes in the slices above"
+        pixels = {name: list_grey_levels(below) for name, below in shown.items()}
+        drawn.append(("grey-level histogram", f"Grey levels of the {where}.", curves.draw_grey_histogram(pixels)))
     return drawn
 
 
@@ -157,6 +189,8 @@ def write_report(result: Result, path: Path | str, image: Path | None = None) ->
                 for section, drawn in draw_report_figures(gathered, places).items()}
     peaks: Sequence[int] = gathered.summary.get("peak_memory_bytes", ())
     page = template.render(
+        technique=f"digital {'image' if result.mesh.dim == 2 else 'volume'} correlation",
+        axes=", ".join(schema.AXES[:result.mesh.dim]),
         title=gathered.case.get("title") or result.path.stem or "measurement", file=result.path.name or "in memory",
         result=result, absent=gathered.absent, key_numbers=_list_key_numbers(gathered),
         statements=items.list_statements(gathered), not_recorded=items.NOT_RECORDED, not_stated=items.NOT_STATED,
@@ -174,12 +208,12 @@ def write_report(result: Result, path: Path | str, image: Path | None = None) ->
 def _list_key_numbers(gathered: items.Gathered) -> list[tuple[str, str]]:
     """What is looked for first."""
     result, known = gathered.result, items.find_field_metrology(gathered)
-    u = result.displacement[result.measured_nodes]
-    numbers = [(f"u_{axis}", _write_range(u[:, k], "px", "{:.3f}")) for k, axis in enumerate("xy")]
+    u, dim = result.displacement[result.measured_nodes], result.mesh.dim
+    numbers = [(f"u_{axis}", _write_range(u[:, k], "px", "{:.3f}")) for k, axis in enumerate(schema.AXES[:dim])]
     tensors = result.point_data.get(schema.NODAL_INFINITESIMAL)
     if tensors is not None:
         numbers += [(f"strain {pair}", _write_range(100.0 * tensors[:, k], "%", "{:.3f}"))
-                    for pair, k in (("xx", 0), ("yy", 1), ("xy", 3))]
+                    for pair, k in schema.list_components(dim).items()]
     return [*numbers, ("residual", items.write_number(gathered.last_residual, "{:.3g} grey levels")),
             ("displacement noise", items.write_number(known.displacement_noise, "{:.2g} px")),
             ("strain noise", items.write_number(known.strain_noise, "{:.1e}")),
@@ -193,7 +227,8 @@ def _write_range(values: np.ndarray[Any, Any], unit: str, form: str) -> str:
 
 
 def _write_place(place: items.WorstPlace) -> tuple[str, ...]:
-    return (str(place.number), f"({place.x:.0f}, {place.y:.0f})", f"{place.residual_rms:.3g}",
+    position = ", ".join(f"{value:.0f}" for value in place.position)
+    return (str(place.number), f"({position})", f"{place.residual_rms:.3g}",
             items.write_number(place.equivalent_error, "{:.3g}"), place.verdict)
 
 

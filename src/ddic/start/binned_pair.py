@@ -21,7 +21,7 @@ from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.raster import rasterize
 
-CELLS = {2: 16, 3: 8}
+CELLS = {2: 16, 3: 10}
 """Side of the grid's cells, blocks, by the number of dimensions. A larger value gives smoother fields, found more
 surely."""
 
@@ -36,9 +36,10 @@ ENOUGH_FFT_IMAGE = 200_000
 """Blocks of the image enough for a rigid translation, if ENOUGH_BLOCKS of them show the region. A larger value takes
 longer."""
 
-ENOUGH_BLOCKS = 2000
+ENOUGH_BLOCKS = {2: 2000, 3: 10_000}
 """Blocks of the region enough for a rigid translation: coefficients of unrelated images then stay below 0.11 (2000
-samples, 200 000 translations), far from LEAST_COEFFICIENT. A larger value keeps more blocks of small regions."""
+samples, 200 000 translations; 0.2 in volumes, of which 20 smoothed blocks are a sample), far from LEAST_COEFFICIENT. A
+larger value keeps more blocks of small regions."""
 
 SMALLEST_SIDE = 1.5
 """Least side of the region on the coarsest level, cells: there the grid is hardly more than an affine map. A larger
@@ -287,7 +288,7 @@ def choose_rigid_block(size: IntArray | tuple[int, ...], mesh: Mesh) -> int:
         n_blocks = np.prod(size) / side**mesh.dim
         n_larger_blocks_of_region = region / (2 * side) ** mesh.dim
         is_too_large = n_blocks > LARGEST_FFT_IMAGE
-        is_more_than_enough = n_blocks > ENOUGH_FFT_IMAGE and n_larger_blocks_of_region >= ENOUGH_BLOCKS
+        is_more_than_enough = n_blocks > ENOUGH_FFT_IMAGE and n_larger_blocks_of_region >= ENOUGH_BLOCKS[mesh.dim]
         if not (is_too_large or is_more_than_enough):
             return side
         side *= 2

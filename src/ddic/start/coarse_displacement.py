@@ -112,7 +112,7 @@ class MovedField:
     ----------
     field : CutField, MatchedField or MovedField
         Pixels of these parts.
-    origin, translation : (2,) array
+    origin, translation : (dim,) array
         Where the reference image's part begins, and where the deformed image's part begins from there, pixels.
     """
 
@@ -148,13 +148,12 @@ class KeptResult:
 def move_field(field: CoarseField, origin: Array, translation: Array) -> CoarseField:
     """Give what was found in parts of both images in pixels of the images.
 
-    The reference image's part begins at ``origin``, the deformed image's part from there at ``translation``, (2,),
-    pixels.
+    The reference image's part begins at ``origin``, the deformed image's part from there at ``translation``,
+    (dim,), pixels.
     """
     if not isinstance(field, GridField):
         return MovedField(field, origin, translation)
-    x, y = np.asarray(field.origin) + origin
-    return GridField((float(x), float(y)), field.spacing, field.values + translation)
+    return GridField(tuple((field.origin + origin).tolist()), field.spacing, field.values + translation)
 
 
 def evaluate_at_nodes(field: CoarseField, mesh: Mesh) -> Array:

@@ -42,8 +42,9 @@ DEGREE = 3
 TOLERANCES = Tolerances(relative=1e-12, rms=0.01, max_iterations=30, largest=np.inf)
 """Of Gauss-Newton on a level: the RMS of a correction, in blocks, decides."""
 
-TILE = 20
-"""Most cells along the side of a tile. A larger one is more work for one rank, a smaller one more in all."""
+TILE = {2: 20, 3: 14}
+"""Most cells along the side of a tile, by the number of dimensions. A larger one is more work for one rank, a smaller
+one more in all."""
 
 HALO = 2
 """Cells around a tile that are correlated with it. More take longer; with fewer its edge shows."""
@@ -185,7 +186,7 @@ def _cut_tiles(size: int, region: Mesh, lines: GridLines, starts: Sequence[Array
     """Tiles, row by row, where there are cells of the region; ``starts``, blocks, are of all nodes of the grid."""
     lowest, highest = region.outlines.find_boxes()
     # Arrays on grids have rows before columns.
-    for stretches in product(*map(_split_line, lines.lines[::-1])):
+    for stretches in product(*(_split_line(line, TILE[lines.dim]) for line in lines.lines[::-1])):
         part = GridLines(tuple(line[some.wide] for line, some in zip(lines.lines, stretches[::-1], strict=True)))
         low, high = ([line[k] for line in part.lines] for k in (0, -1))
         cells = np.flatnonzero(((lowest <= high) & (highest >= low)).all(axis=1))
@@ -203,10 +204,10 @@ class _Stretch(NamedTuple):
     on_level: slice
 
 
-def _split_line(line: Array) -> Iterator[_Stretch]:
+def _split_line(line: Array, longest: int) -> Iterator[_Stretch]:
     """Stretches of a line of nodes, about as long, each with a halo; a node between two is of the second."""
     n_cells = len(line) - 1
-    for cells in np.array_split(np.arange(n_cells), -(-n_cells // TILE)):
+    for cells in np.array_split(np.arange(n_cells), -(-n_cells // longest)):
         begin, end = int(cells[0]), int(cells[-1]) + 1
         first, last = max(begin - HALO, 0), min(end + HALO, n_cells)
         stop = end if end < n_cells else end + 1

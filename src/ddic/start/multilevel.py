@@ -193,7 +193,7 @@ class Pyramid:
         return {}
 
     def _is_tiled(self, size: int) -> bool:
-        n_blocks = np.prod(np.ptp(self.mesh.nodes, axis=0)) / size**2
+        n_blocks = np.prod(np.ptp(self.mesh.nodes, axis=0)) / size**self.mesh.dim
         has_lines = bool(self.discontinuities.lines) and size <= self.largest_block
         return self.helpers is not None and not has_lines and n_blocks > LARGEST_WHOLE
 
@@ -314,7 +314,7 @@ def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: Star
     pixels = pyramid.pair.pixels
     if pixels is None or not pixels.can_bin_finer(pyramid.mesh):
         return None
-    translation = np.zeros(2)
+    translation = np.zeros(pyramid.mesh.dim)
     if rigid_start.translations:
         translation = np.array(rigid_start.translations[0].shift)
     elif pyramid.matched is not None:

@@ -15,8 +15,8 @@ IN_REACH = 0.5
 """Correlation coefficient of a square of blocks from which on its error can be predicted, and Gauss-Newton follows it.
 A larger value calls more displacements far off."""
 
-FEWEST_BLOCKS = 64
-"""Blocks of a square below which it says nothing."""
+FEWEST_BLOCKS = {2: 64, 3: 250}
+"""Blocks of a square, or a cube, below which it says nothing: a quarter of it."""
 
 MOST_SQUARES = 600
 """Squares that are looked at, drawn from all: of a piece of the region of 2 % there are a dozen. More take longer."""
@@ -135,9 +135,10 @@ def _sum_squares(f: Array, g: Array, squares: IntArray, seen: BoolArray) -> tupl
 
 def _judge(n_blocks: Array, n_seen: Array, covariance: Array, factor: int) -> PredictedError:
     variance_f, variance_g = covariance[:, 0, 0], covariance[:, 1, 1]
-    held = n_blocks >= FEWEST_BLOCKS
+    fewest = FEWEST_BLOCKS[covariance.shape[1] - 2]
+    held = n_blocks >= fewest
     # Squares that the displacement puts out of the image tell that it is wrong, or that the specimen has left.
-    is_out = held & (n_seen < FEWEST_BLOCKS / 2)
+    is_out = held & (n_seen < fewest / 2)
     told = held & ~is_out
     if told.any():
         told &= variance_f > LEAST_TEXTURE * np.median(variance_f[told])

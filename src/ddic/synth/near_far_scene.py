@@ -13,7 +13,7 @@ from ddic.images.camera import CameraMapping
 from ddic.images.window import Window
 from ddic.io.replace_on_exit import NewFiles, begin_files
 from ddic.mesh.rotation import build_rotation
-from ddic.synth.fields import DisplacementField, Hole, Pair, require_finite
+from ddic.synth.fields import DisplacementField, Hole, Pair, Vector, require_finite
 from ddic.synth.render import Picture, Scene, write_pair
 from ddic.synth.speckle import TwoScaleTexture
 
@@ -217,6 +217,6 @@ def _require_ratio(ratio: float) -> None:
         raise InputError(f"near camera: ratio = {ratio}: must be above 1 near pixel per far pixel")
 
 
-def _translation(vector: Pair) -> Array:
+def _translation(vector: Vector) -> Array:
     """Homography that moves by a vector, (3, 3)."""
     return np.array([[1.0, 0.0, vector[0]], [0.0, 1.0, vector[1]], [0.0, 0.0, 1.0]])

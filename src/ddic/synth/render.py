@@ -300,7 +300,8 @@ def _bands(scene: Pictured, picture: Picture, stream: int) -> Iterator[ImagePair
 
 def _render_square(scene: Pictured, picture: Picture, window: Window, stream: int) -> ImagePair:
     """Both images in a window."""
-    points = np.indices(window.shape).reshape(len(window.shape), -1)[::-1].T + np.array(window.lower, dtype=np.float64)
+    offsets = np.indices(window.shape, dtype=np.float64).reshape(len(window.shape), -1)
+    points = offsets[::-1].T + np.array(window.lower)
     greys = scene.reference_grey(points), scene.deformed_grey(points)
     return ImagePair(*(picture.digitiser.store(grey.reshape(window.shape), (stream + k, *window.lower))
                        for k, grey in enumerate(greys)))

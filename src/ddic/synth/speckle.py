@@ -21,7 +21,7 @@ def _average_power(low: float, high: float, power: int) -> float:
 
 
 def compute_moments(n_axes: int) -> tuple[float, float]:
-    """Compute mean and standard deviation of the sum of speckles, by Campbell's theorem for points of a Poisson process."""
+    """Compute mean and standard deviation of the sum of speckles, by Campbell's theorem for a Poisson process."""
     size = _average_power(kernels.SIGMA_MIN, kernels.SIGMA_MAX, n_axes)
     mean, square = (_average_power(kernels.AMPLITUDE_MIN, kernels.AMPLITUDE_MAX, power) for power in (1, 2))
     density = kernels.DENSITY[n_axes]
@@ -65,10 +65,10 @@ class SpeckleTexture:
             raise InputError(f"texture: size_factor = {self.size_factor}: must be positive")
 
     def evaluate(self, *coordinates: ArrayLike) -> Array:
-        """Evaluate the texture s, of mean 0 and standard deviation 0.6, at points x, y (and z) of any common shape, pixels.
+        """Evaluate the texture s, of mean 0 and standard deviation 0.6, at x, y and, in space, z of any shape, pixels.
 
-        The speckles' tails that are cut sum to less than 1e-7. Raises InputError if a coordinate is not finite, or too
-        far away.
+        The speckles' tails that are cut sum to less than 1e-7, in space 3e-7. Raises InputError if a coordinate is not
+        finite, or too far away.
         """
         given = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in coordinates))
         points = tuple(x.ravel() / self.size_factor for x in given)

@@ -23,7 +23,7 @@ DENSITY = {2: 0.08, 3: 0.0219}
 SIGMA_MIN, SIGMA_MAX = 1.3, 1.6
 AMPLITUDE_MIN, AMPLITUDE_MAX = 0.5, 1.0
 # A speckle ends six standard deviations from its centre, where exp(-18) of its amplitude is left: the sum of
-# all tails cut is below 1e-7, that is 3e-3 of a grey level of a 16-bit image.
+# all tails cut is below 1e-7, in space 3e-7, that is 3e-3 and 9e-3 of a grey level of a 16-bit image.
 TAIL_EXPONENT = 18.0
 REACH = 6.0 * SIGMA_MAX
 
@@ -183,7 +183,7 @@ _group_end = numba.njit(cache=True)(_group_end_py)
 
 def _find_near_py(cells: CellBlock, starts: IntArray, speckles: Array, low: Array, high: Array,
                   near: IntArray) -> int:
-    """Write the numbers of the speckles that reach the box between ``low`` and ``high`` (d,) to ``near``, and count them."""
+    """Write to ``near`` the numbers of the speckles that reach the box from ``low`` to ``high`` (d,); count them."""
     # Known to the compiler, which a number of columns is not.
     d = len(cells.sizes)
     # The plane is one layer of cells.
@@ -214,7 +214,8 @@ def _add_speckles_py(d: int, speckles: Array, near: IntArray, at: Array, total: 
     """Add the speckles numbered ``near`` to ``total`` at the _GROUP points ``at`` (d, _GROUP)."""
     x, y, z = at[0], at[1], at[d - 1]
     for s in near:
-        sx, sy, sz, amplitude, rate = speckles[s, 0], speckles[s, 1], speckles[s, d - 1], speckles[s, d], speckles[s, d + 1]
+        sx, sy, sz = speckles[s, 0], speckles[s, 1], speckles[s, d - 1]
+        amplitude, rate = speckles[s, d], speckles[s, d + 1]
         for k in range(_GROUP):
             dx, dy, dz = x[k] - sx, y[k] - sy, z[k] - sz
             square = dx * dx + dy * dy
