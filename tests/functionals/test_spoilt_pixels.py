@@ -36,7 +36,7 @@ def find_slowly(patch: CellPatch) -> NDArray[np.bool_]:
     weak = WEAK_SHARE * np.mean([patch.energy[y, x] for y, x in counted])
     spoilt = []
     for y, x in counted:
-        about = [(j, i) for j, i in counted if max(abs(j - y), abs(i - x)) <= ABOUT // 2]
+        about = [(j, i) for j, i in counted if max(abs(j - y), abs(i - x)) <= ABOUT[2] // 2]
         residual = np.mean([(patch.f[p] - patch.g[p])**2 for p in about])
         texture = max(np.mean([patch.energy[p] for p in about]), weak)
         if residual > BEYOND_NOISE * NOISE and residual - NOISE > texture * LIMIT**2 / 2:
@@ -93,7 +93,7 @@ def test_brightness_of_the_cell_is_no_dirt_where_cells_have_their_own() -> None:
     found = find_spoilt_pixels(patch_of(g, f), NOISE, LIMIT, own_brightness=True)
     assert found[spot].all()
     # Pixels that are looked at together, and the margin.
-    reach = ABOUT // 2 + MARGIN
+    reach = ABOUT[2] // 2 + MARGIN
     assert not found[~ndimage.binary_dilation(spot, np.ones((2 * reach + 1, 2 * reach + 1)))].any()
 
 

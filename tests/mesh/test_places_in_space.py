@@ -8,28 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ddic.mesh.cell_type import HEX8, TET4
-from ddic.mesh.grid import GridLines
+from ddic.mesh.cell_type import TET4
 from ddic.mesh.interpolation import EDGE, interpolate, locate, place_in_cells
-from ddic.mesh.mesh import Mesh, build_mesh
-
-WAYS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
-"""Of a cube six tetrahedra, one for each way from corner 0 to corner 6 along edges."""
-
-
-def box_mesh(seed: int, cells: str, n: tuple[int, int, int] = (4, 3, 5)) -> Mesh:
-    """Boxes of unlike sides whose nodes are moved by up to a sixth of them, or tetrahedra, or some of both."""
-    rng = np.random.default_rng(seed)
-    sizes = zip((8.0, 6.0, 9.0), n, strict=True)
-    grid = GridLines(tuple(-7.3 + size * np.arange(count + 1.0) for size, count in sizes))
-    hexes = grid.build_mesh().cells
-    is_split = {"Hex8": np.zeros(len(hexes), bool), "Tet4": np.ones(len(hexes), bool),
-                "both": rng.random(len(hexes)) < 0.5}[cells]
-    # Faces between boxes and tetrahedra stay plane, so that they meet.
-    nodes = grid.nodes + rng.uniform(-1.0, 1.0, grid.nodes.shape) * (cells != "both")
-    blocks = {HEX8: hexes[~is_split], TET4: hexes[is_split][:, WAYS].reshape(-1, 4)}
-    return build_mesh(nodes, {kind: block for kind, block in blocks.items() if len(block)})
-
+from ddic.mesh.mesh import Mesh
+from support.random_meshes import box_mesh
 
 MESHES = st.builds(box_mesh, st.integers(0, 2**32 - 1), st.sampled_from(["Hex8", "Tet4", "both"]))
 

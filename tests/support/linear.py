@@ -33,6 +33,7 @@ from ddic.solvers.linear_step import AllowedError, LinearStep, StepResult
 from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
 from support.oracles import make_on_root
 from support.pictures import source
+from support.random_meshes import WAYS
 from support.sharers import count_sharers
 
 CELL = 8.0
@@ -102,9 +103,7 @@ def linear_step(n: int = 16, wavelength: float | None = None, kind: Kind = "Q4")
     image = source(noise / noise.std() * 50 + 128)
     grid = GridLines(tuple(begin + CELL * np.arange(n + 1) for begin in first))
     nodes = grid.nodes + rng.uniform(-1, 1, (grid.n_nodes, grid.dim))
-    # Of a cube six tetrahedra, one for each way from corner 0 to corner 6 along edges.
-    ways = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
-    cells = {TET4: grid.cells[:, ways].reshape(-1, 4)} if kind == "Tet4" else {grid.cell_type: grid.cells}
+    cells = {TET4: grid.cells[:, WAYS].reshape(-1, 4)} if kind == "Tet4" else {grid.cell_type: grid.cells}
     mesh = build_mesh(nodes, cells)
     inside = np.ones(mesh.n_nodes, dtype=bool)
     inside[find_boundary_nodes(mesh)] = False

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from ddic.mesh.cell_type import Q4, T3
+from ddic.mesh.cell_type import HEX8, Q4, T3, TET4
+from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.partition.split import renumber, split_by_blocks, split_by_metis
 
@@ -103,3 +104,21 @@ def random_partition(mesh: Mesh, kind: str, n_subdomains: int, seed: int) -> NDA
 
 
 PARTITIONS = st.sampled_from(["metis", "blocks", "labels"])
+
+
+WAYS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
+"""Of a cube six tetrahedra, one for each way from corner 0 to corner 6 along edges."""
+
+
+def box_mesh(seed: int, cells: str, n: tuple[int, int, int] = (4, 3, 5), jitter: float = 1.0) -> Mesh:
+    """Boxes of 8 x 6 x 9 px whose nodes are moved by up to ``jitter``, or tetrahedra, or some of both."""
+    rng = np.random.default_rng(seed)
+    sizes = zip((8.0, 6.0, 9.0), n, strict=True)
+    grid = GridLines(tuple(-7.3 + size * np.arange(count + 1.0) for size, count in sizes))
+    hexes = grid.build_mesh().cells
+    is_split = {"Hex8": np.zeros(len(hexes), bool), "Tet4": np.ones(len(hexes), bool),
+                "both": rng.random(len(hexes)) < 0.5}[cells]
+    # Faces between boxes and tetrahedra stay plane, so that they meet.
+    nodes = grid.nodes + rng.uniform(-jitter, jitter, grid.nodes.shape) * (cells != "both")
+    blocks = {HEX8: hexes[~is_split], TET4: hexes[is_split][:, WAYS].reshape(-1, 4)}
+    return build_mesh(nodes, {kind: block for kind, block in blocks.items() if len(block)})

@@ -18,7 +18,7 @@ from support.readable_kernels import READABLE
 @contextmanager
 def readable_kernels_instead() -> Iterator[None]:
     """Within it, correlations call the readable kernels where they call compiled ones."""
-    with mock.patch.dict(PIXEL_KERNELS, bilinear=READABLE):
+    with mock.patch.dict(PIXEL_KERNELS, bilinear=READABLE, trilinear=READABLE):
         yield
 
 
@@ -61,7 +61,7 @@ def local_points(kind: int, corners: NDArray[np.float64], points: NDArray[np.flo
 def cell_pixels(part: Correlation) -> list[CellPixels]:
     """The pixels of every cell, with the reference image's data."""
     mesh, raster, f = part.mesh, part.raster, part.reference
-    rows = raster.rows
+    rows = raster.rows[:, 0]
     out = []
     for e in range(mesh.n_cells):
         runs = range(raster.row_ptr[e], raster.row_ptr[e + 1])

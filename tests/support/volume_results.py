@@ -75,7 +75,8 @@ def write_volume_result(path: Path, mesh: Mesh, *, residual: NDArray[np.float32]
             chunks = {number: padded[whole.locate(grid.locate_chunk(number))]
                       for number in grid.find_chunks(grid.extent)}
             write_residual_image(writer, grid, chunks)
-        writer.write_table(schema.GAUSS_NEWTON, {"iteration": [1, 2], "residual_std_grey": [3.0, 2.5]})
+        writer.write_table(schema.GAUSS_NEWTON, {"iteration": [1, 2], "residual_std_grey": [3.0, 2.5],
+                                                  "rms_correction_px": [0.1, 0.01]})
         writer.write_curves(schema.KRYLOV, [[1.0, 0.1, 0.001]])
         writer.write_attributes(schema.CASE, {"json": '{"volumes": {"voxel_size": 0.5, "length_unit": "mm"}}',
                                               "toml": "title = 'foam'\n"})
@@ -96,13 +97,14 @@ def _cut(mesh: Mesh, part: int, length_unit: str | None) -> Piece:
               schema.REGULARIZATION_BIAS: 0.1 * u}
     if length_unit is not None:
         points[schema.DISPLACEMENT_PHYSICAL] = 0.5 * u
-    points |= {name: tensor for name in schema.NODAL_STRAINS.values()}
-    points |= {name: u[:, k] for k, name in enumerate((*schema.NODAL_PRINCIPAL, *schema.SIGMA_DISPLACEMENT))
-               for k in [k % 3]}
+    points |= dict.fromkeys(schema.NODAL_STRAINS.values(), tensor)
+    for names in (schema.NODAL_PRINCIPAL, schema.SIGMA_DISPLACEMENT):
+        points |= dict(zip(names, u.T, strict=True))
     points |= {name: 1e-5 * tensor[:, k] for k, name in enumerate(schema.list_sigma_strains(3))}
     points[schema.NODAL_VON_MISES] = tensor[:, 0]
     on_cells = {spec.name: np.zeros(len(cells), spec.dtype) for spec in schema.cell_fields()}
-    on_cells |= {schema.STRAIN_INFINITESIMAL: strain(sub.centroids), schema.STRAIN_GREEN_LAGRANGE: strain(sub.centroids),
+    of_cells = strain(sub.centroids)
+    on_cells |= {schema.STRAIN_INFINITESIMAL: of_cells, schema.STRAIN_GREEN_LAGRANGE: of_cells,
                  schema.RESIDUAL_RMS: 1.0 + cells, schema.GLOBAL_CELL_ID: cells,
                  schema.SUBDOMAIN_ID: np.full(len(cells), part, np.int32)}
     return Piece(sub.nodes, sub.connectivity, sub.offsets, sub.types, points, on_cells)

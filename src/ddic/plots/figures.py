@@ -9,6 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ddic.errors import InputError, refuse_unknown_arguments
@@ -182,7 +183,11 @@ def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figu
     figure = _draw_kind(kind, drawing, shared)
     look = drawing.look
     if look.scale_bar is not None:
-        for axes in canvas.list_image_axes(figure):
+        shown = canvas.list_image_axes(figure)
+        if drawing.slices is not None:
+            # They have one scale: one bar will do, where there is most room.
+            shown = sorted(shown, key=lambda axes: float(np.ptp(axes.get_xlim())))[-1:]
+        for axes in shown:
             canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
     if look.title is not None:
         canvas.set_titles(figure, look.title)

@@ -272,7 +272,7 @@ def _make_orthogonal(slices: Slices, titles: Sequence[str], unit: LengthUnit,
     views = []
     for host in hosts:
         host.set_axis_off()
-        host.set(xlabel="", ylabel="")
+        host.set(xlabel="", ylabel="", xticks=[], yticks=[])
         place = host.get_position()
         drawn = []
         for one in slices:
@@ -280,7 +280,9 @@ def _make_orthogonal(slices: Slices, titles: Sequence[str], unit: LengthUnit,
             below = 1.0 - corner[1] - share[1]
             axes = figure.add_axes((*(place.p0 + place.size * np.array([corner[0], below])), *(place.size * share)))
             canvas.set_up_axes(axes, boxes[one.axis], unit, place.size * share * figure.get_size_inches())
-            axes.set_title(one.describe(unit), loc="left", fontsize=NAME_POINTS, pad=3.0)
+            # Beside the edge of the page there may be no room for it.
+            side = "right" if one.axis == "x" else "left"
+            axes.set_title(one.describe(unit), loc=side, fontsize=NAME_POINTS, pad=3.0)
             # Numbers and name of an axis that two share stand at the outer one.
             axes.tick_params(labelbottom=one.axis != "z", labelleft=one.axis != "x")
             across, down = (f"{name} [{unit.name}]" for name in PLANES[one.axis])

@@ -180,8 +180,8 @@ class _Volumes:
 
     def match(self, place: Array, motion: Motion) -> Ball | None:
         """Match the ball about a place, from a motion near the right one, by Gauss-Newton of its affine map."""
-        offsets = self.offsets[::-(-len(self.offsets) // MOST_SAMPLES)]
-        offsets = offsets[_look_up(self.active, place + offsets)]
+        offsets = self.offsets[_look_up(self.active, place + self.offsets)]
+        offsets = offsets[::max(len(offsets) // MOST_SAMPLES, 1)]
         blocks = tuple((place + offsets).astype(int).T[::-1])
         f, slopes = self.f[blocks], np.stack([slope[blocks] for slope in self.slopes], axis=1)
         by_motion = np.concatenate([(slopes[:, :, None] * offsets[:, None]).reshape(-1, 9), slopes], axis=1)
