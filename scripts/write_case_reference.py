@@ -21,7 +21,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from ddic.case.schema import Case, find_section, find_section_in
+from ddic.case.schema import Case, ImagingSection, find_section, find_section_in
 from ddic.errors import InputError
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "case-file.md"
@@ -43,7 +43,11 @@ def format_table(section: type[BaseModel]) -> list[str]:
     """Describe the keys of a section in lines of a Markdown table: key, type, default, unit, meaning."""
     meanings = describe_keys(section)
     # Sections of the top level have chapters of their own.
-    rows = [_row(name, field, meanings.get(name, "")) for name, field in section.model_fields.items()
+    fields = section.model_fields.items()
+    if issubclass(section, ImagingSection):
+        # What images and volumes have in common comes last.
+        fields = sorted(fields, key=lambda named: named[0] in ImagingSection.model_fields)
+    rows = [_row(name, field, meanings.get(name, "")) for name, field in fields
             if section is not Case or find_section_in(field.annotation) is None]
     return [*HEAD, *rows]
 

@@ -26,6 +26,7 @@ MODULE_FOLDERS = [ROOT / name for name in ("src", "scripts", "bench", "accept", 
 SECTIONS: dict[str, type[BaseModel]] = {
     "Top level": schema.Case,
     "[images]": schema.ImagesSection,
+    "[volumes]": schema.VolumesSection,
     "[near]": schema.NearSection,
     "[mesh]": schema.MeshSection,
     "[mesh.structured]": schema.StructuredSection,

@@ -39,6 +39,9 @@ PIXEL_KERNELS: dict[str, PixelKernels] = {"bilinear": pixel_kernels.COMPILED, "t
 """What sums over the pixels of cells, by the family of their types."""
 
 
+BAND_PIXELS = 1 << 24
+"""Pixels of which is told at a time whether they are hidden; a larger value takes more memory."""
+
 TORN_SIZES, TORN_PIXELS = 4.0, 32.0
 """Sizes of a cell, and pixels beside these, by which displacements of its nodes must differ for it to be torn. No
 specimen deforms like that: a cell that turns over differs by two sizes. Larger ones let a node that runs away pull in
@@ -283,7 +286,11 @@ class Correlation:
         """
         if self._shows_all(deformed, q):
             return self
-        shown = np.isfinite(self.compute_residual_image(deformed, q)).astype(np.uint8)
+        window = self.reference.window
+        shown = np.zeros(window.shape, dtype=np.uint8)
+        bands = self.split_bands(max(1, BAND_PIXELS * window.sizes[-1] // window.n_pixels))
+        for band, image in zip(bands, self.compute_residual_bands(deformed, q, bands, 1.0, 0.0), strict=True):
+            shown[window.locate(band.window)] |= np.isfinite(image)
         if self._count_pixels(shown) == self.n_usable_pixels:
             return self
         return replace(self, reference=self.reference.exclude(shown == 0))

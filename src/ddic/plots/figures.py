@@ -186,7 +186,7 @@ def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figu
         shown = canvas.list_image_axes(figure)
         if drawing.slices is not None:
             # They have one scale: one bar will do, where there is most room.
-            shown = sorted(shown, key=lambda axes: float(np.ptp(axes.get_xlim())))[-1:]
+            shown = sorted(shown, key=lambda axes: -float(np.ptp(axes.get_xlim())))[:1]
         for axes in shown:
             canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
     if look.title is not None:

@@ -162,10 +162,10 @@ def _remove_affine_part(moments: Array) -> float:
     """Sum over nodes of |u|^2 without what the best affine motion explains, pixels squared, from ``_sum_moments``."""
     # There are 2 (1 + dim + dim^2).
     dim = {14: 2, 26: 3}[len(moments)]
-    n, sum_x, sum_u, xx, ux, uu = np.split(moments, np.cumsum([1, dim, dim, dim**2, dim**2]))
+    (n,), sum_x, sum_u, xx, ux, (uu,) = np.split(moments, np.cumsum([1, dim, dim, dim**2, dim**2]))
     spread = xx.reshape(dim, dim) - np.outer(sum_x, sum_x) / n
     together = ux.reshape(dim, dim) - np.outer(sum_u, sum_x) / n
-    squares = uu[0] - sum_u @ sum_u / n
+    squares = uu - sum_u @ sum_u / n
     variances, axes = np.linalg.eigh(spread)
     # All nodes on a line, or one node: what cannot be told from a translation is none.
     is_wide = variances > LEAST_SPREAD * variances.max()
