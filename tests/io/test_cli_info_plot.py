@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -96,3 +97,19 @@ def test_plot_says_what_a_figure_lacks(tmp_path: Path, write_result: Write, kind
     assert outcome.exit_code == 2
     assert remedy in outcome.stderr
     assert not list(tmp_path.glob("*.png"))
+
+
+def test_info_describes_volumes_of_all_kinds_of_paths(tmp_path: Path) -> None:
+    voxels = np.random.default_rng(5).integers(3, 900, (6, 7, 8), dtype=np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", voxels, photometric="minisblack")
+    (tmp_path / "slices").mkdir()
+    for number, plane in enumerate(voxels):
+        tifffile.imwrite(tmp_path / "slices" / f"s{number}.tif", plane)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["entry/data"] = voxels
+    for name in ("a.tif", "slices", "a.h5", "a.h5::entry/data"):
+        outcome = CliRunner().invoke(info, [str(tmp_path / name)])
+        assert outcome.exit_code == 0, outcome.output
+        assert f"volume                      {tmp_path / name}\n" in outcome.output
+        assert "8 x 7 x 6 px" in outcome.output
+        assert f"{voxels.min()} to {voxels.max()} grey levels" in outcome.output

@@ -217,6 +217,11 @@ class LoadedCase:
         """Whether it names several deformed images."""
         return is_series(self.case)
 
+    def require_images(self, what: str, remedy: str) -> None:
+        """Raise InputError of a case of volumes; ``what`` knows images alone."""
+        if self.case.dim == 3:
+            raise InputError(f"{self.path}: [volumes]: {what} knows images; {remedy}")
+
     def list_inputs(self) -> list[Path]:
         """List the files that it reads and no run replaces, the case file too."""
         return [self.path, *list_named_files(self.case, self.path.parent)]

@@ -63,7 +63,7 @@ def _describe(file: Path, frame: int | None) -> list[str]:
 
 
 def _is_result(file: Path) -> bool:
-    """Whether it is an HDF5 file with what results have, or damaged."""
+    """Whether it is an HDF5 file with what results have, or called as they are."""
     import h5py
 
     from ddic.io.result_schema import VTKHDF
@@ -75,7 +75,7 @@ def _is_result(file: Path) -> bool:
         raise InputError(f"{file}: cannot be read ({os.strerror(error.errno) if error.errno else error}); check its "
                          "permissions") from error
     with suppress(OSError), h5py.File(file, "r") as opened:
-        return VTKHDF in opened
+        return VTKHDF in opened or file.suffix == ".vtkhdf"
     return True
 
 

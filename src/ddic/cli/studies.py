@@ -169,7 +169,9 @@ def uncertainty(case_file: Path, sizes: str, displacements: int, noise: float, o
     folder = case_file.parent if output is None else output
     with failures_as_lines(folder):
         table, figure = _choose_outputs(case_file, folder, "uncertainty")
-        case = load_case(case_file).case
+        loaded = load_case(case_file)
+        loaded.require_images("ddic uncertainty", "set output.uncertainty = true, which tells the errors of a field")
+        case = loaded.case
         image = open_image(case.imaging.reference)
         of_elements = _parse_numbers(sizes, "--sizes", "8,16,32")
         said = case.model_dump(include={"correlation", "regularization", "gauss_newton", "discontinuity"}, mode="json")

@@ -172,6 +172,8 @@ def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ())
         raise InputError(f"--deformed: {case_file} is there already and names its images; leave it out")
     text = read_text(case_file, "case file", "check the path")
     loaded, _ = load_text_leniently(text, case_file)
+    if loaded is not None:
+        loaded.require_images("ddic draw", "write the box into the case, and look at it by ddic check --plot")
     if loaded is not None and not _is_drawn_on(loaded, image):
         raise InputError(f"{image}: {case_file} has another reference image, {loaded.case.imaging.reference}; give "
                          "that")

@@ -430,6 +430,9 @@ def _name(frames: Frames, among: Sequence[Frames]) -> str:
 def open_results(paths: Sequence[Path]) -> list[Frames]:
     """Open results to be looked at; raises InputError where one cannot be read, or their images differ in size."""
     opened = [Frames(path) for path in dict.fromkeys(paths)]
+    of_volumes = [path for path, frames in zip(dict.fromkeys(paths), opened, strict=True) if frames[0].mesh.dim == 3]
+    if of_volumes:
+        raise InputError(f"{of_volumes[0]}: of a volume: look at it by ddic plot, or in ParaView")
     sizes = sorted({find_image_size(frames[0]) for frames in opened})
     if len(sizes) > 1:
         raise InputError(f"{paths[0]}, ...: of images of {' and '.join(f'{x} x {y}' for x, y in sizes)} px, which "

@@ -183,6 +183,11 @@ class MatchedField:
         """Interpolate the displacement at points, (n, 2), pixels."""
         return self._interpolate(points, points)
 
+    def measure_share_against(self, displacement: Array, size: int) -> float:
+        """Measure the share of matches that their displacement by blocks of ``size`` pixels, (n, dim), contradicts."""
+        apart = np.linalg.norm(displacement - self.matches.displacement, axis=1)
+        return float((apart > LARGEST_MISFIT * size).mean())
+
     def _interpolate(self, points: Array, on_own_side: Array) -> Array:
         """Displacement of points, each in the piece that a point on its own side lies in."""
         cells = locate(self.mesh, on_own_side).cells

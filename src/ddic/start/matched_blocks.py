@@ -181,7 +181,7 @@ class _Volumes:
     def match(self, place: Array, motion: Motion) -> Ball | None:
         """Match the ball about a place, from a motion near the right one, by Gauss-Newton of its affine map."""
         offsets = self.offsets[_look_up(self.active, place + self.offsets)]
-        offsets = offsets[::max(len(offsets) // MOST_SAMPLES, 1)]
+        offsets = offsets[::-(-len(offsets) // MOST_SAMPLES) or 1]
         blocks = tuple((place + offsets).astype(int).T[::-1])
         f, slopes = self.f[blocks], np.stack([slope[blocks] for slope in self.slopes], axis=1)
         by_motion = np.concatenate([(slopes[:, :, None] * offsets[:, None]).reshape(-1, 9), slopes], axis=1)

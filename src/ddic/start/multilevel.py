@@ -297,20 +297,21 @@ def _correlate_from_features(pyramid: Pyramid, sizes: Sequence[int], starts: Seq
 
     In a corner without features it may not find its way: the level before it has larger blocks, hence a longer reach.
     """
-    def loses_no_more(size: int, than_features: MultilevelStart) -> bool:
-        lost, lost_by_features = (pyramid.predict(size, field).measure_share_beyond(np.inf)
-                                  for field in (than_features.require_field(), starts[0]))
-        return lost <= lost_by_features
-
     found = pyramid.correlate(sizes[-1:], starts, beside)
-    if found.levels and pyramid.mesh.dim == 3:
-        # Cells hold what parts together, which lines cut in images alone.
-        return found if loses_no_more(sizes[-1], found) else replace(found, field=starts[0], levels=())
+    matched = starts[0]
+    if found.levels and pyramid.mesh.dim == 3 and isinstance(matched, MatchedField):
+        # Cells hold together what parts, unless a line cuts them, and none does in a volume.
+        share = matched.measure_share_against(found.require_field().at(matched.matches.points), sizes[-1])
+        return found if share <= WRONG_SHARE else replace(found, field=matched, levels=())
     if len(sizes) < 2 or sizes[-1] in found.levels:
         return found
     from_larger = pyramid.correlate(sizes[-2:], starts, beside)
+    if sizes[-1] not in from_larger.levels:
+        return found
     # Where a specimen has torn, larger blocks lose more than they find, and features know best.
-    return from_larger if sizes[-1] in from_larger.levels and loses_no_more(sizes[-2], from_larger) else found
+    lost, lost_by_features = (pyramid.predict(sizes[-2], field).measure_share_beyond(np.inf)
+                              for field in (from_larger.require_field(), starts[0]))
+    return from_larger if lost <= lost_by_features else found
 
 
 def _search_surroundings(pyramid: Pyramid, rigid_start: RigidStart, stages: StartSection) -> MultilevelStart | None:

@@ -18,8 +18,9 @@ A larger value calls more displacements far off."""
 FEWEST_BLOCKS = {2: 64, 3: 250}
 """Blocks of a square, or a cube, below which it says nothing: a quarter of it."""
 
-MOST_SQUARES = 600
-"""Squares that are looked at, drawn from all: of a piece of the region of 2 % there are a dozen. More take longer."""
+MOST_SQUARES = {2: 600, 3: 200}
+"""Squares, or cubes, that are looked at, drawn from all: of a piece of the region of 2 % there are a dozen, or four.
+More take longer."""
 
 LEAST_TEXTURE = 0.05
 """Variance of a square's grey levels, times the median of all, below which it is blank and says nothing."""
@@ -72,7 +73,7 @@ def predict_error(pair: BinnedPair, mesh: Mesh, displace: Callable[[Array], Arra
     if not blocks.size:
         return PredictedError(np.zeros(0), np.zeros(0), np.zeros(0))
     squares = _number_squares(blocks, pair.cell)
-    drawn = _draw_squares(squares)
+    drawn = _draw_squares(squares, MOST_SQUARES[pair.dim])
     blocks, squares = blocks[:, drawn], squares[drawn]
     points = blocks[::-1].T * float(pair.factor) + pair.centre
     places = ((points + displace(points) - pair.centre) / pair.factor)[:, ::-1].T
@@ -87,13 +88,13 @@ def _number_squares(blocks: IntArray, side: int) -> IntArray:
     return np.asarray(np.ravel_multi_index(tuple(squares), tuple(squares.max(axis=1) + 1)))
 
 
-def _draw_squares(squares: IntArray) -> BoolArray:
+def _draw_squares(squares: IntArray, most: int) -> BoolArray:
     """Blocks of the squares that are looked at: all, or some that are always the same."""
     numbers = np.unique(squares)
-    if len(numbers) <= MOST_SQUARES:
+    if len(numbers) <= most:
         return np.ones(len(squares), dtype=bool)
     is_drawn = np.zeros(int(numbers[-1]) + 1, dtype=bool)
-    is_drawn[np.random.default_rng(0).choice(numbers, MOST_SQUARES, replace=False)] = True
+    is_drawn[np.random.default_rng(0).choice(numbers, most, replace=False)] = True
     return np.asarray(is_drawn[squares])
 
 
