@@ -21,10 +21,9 @@ from ddic.io.image_file import open_image
 from ddic.io.result_reader import Result, read_result
 from ddic.io.result_schema import CAMERA
 from ddic.kinematics.strain import count_folded_cells
-from ddic.plots.canvas import PIXELS, find_length_unit
+from ddic.plots.canvas import PIXELS, Preview, find_length_unit
 from ddic.plots.curves import draw_krylov
 from ddic.plots.maps import (
-    Preview,
     StrainChoice,
     draw_deformed,
     draw_displacement,

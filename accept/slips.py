@@ -149,7 +149,7 @@ def measure_bolted(scale: Scale) -> list[Row]:
                 error = find_field_error(result, opened)
     (n_enriched, s_enriched), (n_continuous, s_continuous) = (np.median(runs[name], axis=0) for name in runs)
     append_result("xdic_runs", {"check": "bolted", "runs": runs, "error": error, "one_level": alone})
-    n_levels = len(choose_block_sizes(size**2, mesh)) + 1
+    n_levels = len(choose_block_sizes((size, size), mesh)) + 1
     what = f"two plates of {size} x {size} px slide by {BOLTED_SLIP} px, {BOLTED_ELEMENT}-px elements"
     return [Row(f"{what}: one level alone, and {n_levels} levels with enrichment (default); "
                 f"{describe_settings(all_pixels)}",

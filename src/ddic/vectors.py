@@ -97,7 +97,7 @@ def store(typing_context, array, i, vector):
 
 
 @intrinsic
-def splat(typing_context, value):
+def fill(typing_context, value):
     """A vector whose numbers are all one value, as float32."""
 
     def generate(context, builder, signature, arguments):
@@ -108,7 +108,7 @@ def splat(typing_context, value):
 
 
 @intrinsic
-def splat_double(typing_context, value):
+def fill_double(typing_context, value):
     """A vector whose numbers are all one value, as float64."""
 
     def generate(context, builder, signature, arguments):
@@ -143,7 +143,7 @@ def widen(typing_context, vector):
 
 
 @intrinsic
-def total(typing_context, vector):
+def sum_lanes(typing_context, vector):
     """Sum of a vector's numbers: halves are added until one number is left."""
 
     def generate(context, builder, signature, arguments):
@@ -171,19 +171,19 @@ def _reduce(vector, comparison):
 
 
 @intrinsic
-def least(typing_context, vector):
+def find_least(typing_context, vector):
     """Least number of a vector, all of which are numbers."""
     return _reduce(vector, "<")
 
 
 @intrinsic
-def most(typing_context, vector):
+def find_most(typing_context, vector):
     """Largest number of a vector, all of which are numbers."""
     return _reduce(vector, ">")
 
 
 @intrinsic
-def first_of(typing_context, vector):
+def take_first(typing_context, vector):
     """First number of a vector."""
     number = types.float64 if vector is Double else types.float32
     return number(vector), lambda context, builder, signature, arguments: builder.extract_element(

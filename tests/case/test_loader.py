@@ -88,7 +88,7 @@ def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: py
     ("[regularization]\nnot_controlled = [[]]\neta = 1",
      "regularization.not_controlled[0] = []: expected a text in quotes"),
     ("[solver]\nblocks = [1, 2, 3]\npartition = 'blocks'",
-     "solver.blocks = [1, 2, 3]: expected at most 2 items"),
+     "solver.blocks: 3 numbers, 2 expected beside [images]"),
     ("[discontinuity]\nvertices = [[0, 0], [9, 9]]",
      "discontinuity: one section is given, a list of them expected: [[discontinuity]], or [{...}] in Python"),
     ("[regularization]\nplane = 'stress'",

@@ -78,4 +78,5 @@ def test_one_mesh_only(tmp_path: Path) -> None:
 
 def test_masks_are_for_structured_meshes(tmp_path: Path) -> None:
     (line,) = problems(write(tmp_path, "unstructured", 'region = [10, 20, 90, 70]\nmask = "m.png"'))
-    assert line == "mesh.unstructured.mask: unknown key; it belongs to [near.mesh.structured] or [mesh.structured]"
+    assert line == ("mesh.unstructured.mask: unknown key; it belongs to [volumes] or [near.mesh.structured] or "
+                    "[mesh.structured]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -10,10 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ddic.errors import InputError
-from ddic.mesh.cell_type import Q4, T3
+from ddic.images.binned import ArraySource
+from ddic.mesh.cell_type import HEX8, Q4, T3
 from ddic.mesh.quality import measure_areas, measure_shape_quality
 from ddic.mesh.repair import repair
-from ddic.mesh.structured import SMALLEST_SINE, build_structured_mesh
+from ddic.mesh.structured import SMALLEST_SINE, build_grid_lines, build_structured_mesh
 from ddic.mesh.topology import find_adjacent_cells, find_boundary_facets, find_boundary_nodes, find_facets
 
 Cell = Literal["Q4", "T3"]
@@ -188,3 +190,30 @@ def test_a_large_mesh_is_connected() -> None:
         seen |= new
         front += new
     assert len(seen) == mesh.n_cells
+
+
+def test_a_box_in_a_volume_keeps_the_cells_that_a_mask_holds_for_a_half() -> None:
+    rng = np.random.default_rng(4)
+    # Larger along each axis than the volume that it is of on one side, and smaller on the other.
+    mask = rng.random((20, 24, 22)) < 0.5
+    region, size = (-3.0, 1.5, 2.0, 18.6, 22.0, 21.7), 5.0
+    mesh = build_structured_mesh(region, size, mask=mask)
+    grid = build_grid_lines(region, size)
+    kept = []
+    for corners in grid.nodes[grid.cells]:
+        low, high = (np.ceil(corner).astype(int) for corner in (corners.min(axis=0), corners.max(axis=0)))
+        inside = [np.arange(max(a, 0), min(b, n)) for a, b, n in zip(low, high, mask.shape[::-1], strict=True)]
+        kept.append(2 * mask[np.ix_(*inside[::-1])].sum() >= np.prod(high - low))
+    assert 0 < sum(kept) < grid.n_cells
+    np.testing.assert_allclose(mesh.centroids, grid.centroids[kept])
+    assert set(mesh.types) == {HEX8.vtk}
+    source = ArraySource(Path("mask"), mask.astype(np.uint8))
+    np.testing.assert_array_equal(build_structured_mesh(region, size, mask=source).nodes, mesh.nodes)
+
+
+def test_the_nodes_on_the_faces_of_a_box_have_names() -> None:
+    mesh = build_structured_mesh((0, 0, 0, 8, 12, 16), 4)
+    for axis, names in enumerate((("left", "right"), ("top", "bottom"), ("front", "back"))):
+        for name, place in zip(names, (0.0, 4.0 * (axis + 2)), strict=True):
+            expected = np.flatnonzero(mesh.nodes[:, axis] == place)
+            assert sorted(mesh.node_sets[name].tolist()) == expected.tolist()

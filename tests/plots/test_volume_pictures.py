@@ -10,13 +10,16 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from PIL import Image
 
 from accept.report_page import find_clipped_texts, find_smallest_type
 from ddic.cli.info import info, report
 from ddic.cli.plot import plot
+from ddic.cli.plot_figures import find_shared_scale
 from ddic.images.binned import ArraySource
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result, read_result
+from ddic.io.series_reader import gather_history, read_series
 from ddic.plots import curves
 from ddic.plots import slices as of_volumes
 from ddic.plots.canvas import OF_VALUES, PIXELS, LengthUnit, list_image_axes
@@ -24,9 +27,11 @@ from ddic.plots.figures import Drawing, Look, draw
 from ddic.plots.kinds import COMPONENTS, KINDS, NUMBERS
 from ddic.plots.maps import StrainChoice, list_sigma_panels, list_strain_panels, read_below
 from ddic.plots.partition import draw_mesh_preview, draw_partition
+from ddic.plots.series import draw_time_curves
 from ddic.plots.slices import choose_slices
 from ddic.report import items, page
 from ddic.report.page import draw_report_figures
+from support.series_files import FrameFile, write_series_file
 from support.volume_results import (
     BOX,
     SIZES,
@@ -243,9 +248,8 @@ def test_node_sets_are_marked_on_the_cells_of_a_slice() -> None:
 
 
 def test_a_plane_result_has_no_slices(tmp_path: Path) -> None:
-    from support.series_files import FrameFile, write_series_file
-
-    path = write_series_file(tmp_path / "s.vtkhdf", [FrameFile(1.0)])
+    path = write_series_file(tmp_path / "s.vtkhdf", [FrameFile(1.0)], residual=True)
+    assert run_plot(path, "--kind", "histogram", "--frame", "1")[0] == 0
     for arguments, named in ((("--component", "z"), "no z"), (("--strain", "yz"), "no yz"),
                              (("--strain", "principal-3"), "no principal-3"), (("--slice", "z=3"), "no slice z=3")):
         kind = "displacement" if arguments[0] != "--strain" else "strain"
@@ -297,6 +301,42 @@ def test_info_lists_all_axes(path: Path) -> None:
     for axis, first, last in zip("xyz", low, high, strict=True):
         assert f"displacement {axis}              {first:.4f} to {last:.4f} px" in told
     assert "residual                    standard deviation 2.5 grey levels" in told
+
+
+@pytest.fixture
+def series(tmp_path: Path) -> Path:
+    """Three frames of volumes, of which the second was not measured."""
+    mesh = build_volume_mesh(box=(8.0, 8.0, 4.0, 56.0, 36.0, 16.0), size=4.0)
+    frames = [FrameFile(1.0, mesh=mesh), FrameFile(2.0, 0, mesh), FrameFile(4.0, mesh=mesh)]
+    return write_series_file(tmp_path / "s.vtkhdf", frames, residual=True)
+
+
+def test_curves_over_time_have_all_axes(series: Path, tmp_path: Path) -> None:
+    history = gather_history(read_series(series))
+    figure = draw_time_curves(history, "s", PIXELS)
+    assert find_clipped_texts(figure) == []
+    above, below = figure.axes[:2]
+    named = {line.get_label(): line.get_ydata() for line in (*above.lines, *below.lines)}
+    for axis in "xyz":
+        assert np.isfinite(named[f"$u_{axis}$, mean"]).tolist() == [True, False, True]
+    # Along x, z and y: 0.01, 0.0025 and -0.005 a unit of time.
+    for k, strain_of_time in enumerate((0.01, 0.0025, -0.005), start=1):
+        np.testing.assert_allclose(named[rf"$\varepsilon_{k}$, mean"][[0, 2]], np.array([1.0, 4.0]) * strain_of_time)
+    told = CliRunner().invoke(info, [str(series)]).output
+    assert "displacement z              0.0100 to 0.1600 px in all frames" in told
+
+
+def test_frames_of_volumes_are_animated_in_the_same_colours(series: Path, tmp_path: Path) -> None:
+    opened = read_series(series)
+    slices = choose_slices(opened[0].mesh, None, [("z", 6.0)])
+    (scale,) = find_shared_scale(opened, "residual", Look(), slices).scales
+    # A frame's residual is its number everywhere.
+    assert scale.limits == (0.0, 3.0)
+    code, output = run_plot(series, "--animate", "--kind", "displacement", "--component", "z", "--slice", "z=6",
+                            "--output", str(tmp_path / "new"))
+    assert code == 0, output
+    with Image.open(tmp_path / "new" / "s.displacement_z_z6.gif") as animation:
+        assert animation.n_frames == 2
 
 
 def test_a_thumbnail_is_drawn_of_volumes(path: Path) -> None:

@@ -25,7 +25,7 @@ from support.residual_images import write_residual_image
 
 MESH = build_structured_mesh((10.0, 10.0, 50.0, 30.0), 10.0)
 STRAIN = 0.01
-"""Along x, of a frame whose time is 1; half as much the other way along y."""
+"""Along x, of a frame whose time is 1; half as much the other way along y, a quarter along z."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class FrameFile:
 
 
 def displace(points: NDArray[np.float64], time: float) -> NDArray[np.float64]:
-    """Displacement of points (n, 2) at a time, pixels."""
-    return time * STRAIN * points * [1.0, -0.5]
+    """Displacement of points (n, dim) at a time, pixels."""
+    return time * STRAIN * points * [1.0, -0.5, 0.25][:points.shape[1]]
 
 
 def write_series_file(path: Path, frames: Sequence[FrameFile], *, flip_y: bool = False, length_unit: str | None = None,
@@ -75,10 +75,11 @@ def _write_frame(path: Path, frame: FrameFile, number: int, form: tuple[bool, st
     flip_y, length_unit, residual = form
     pieces = [_cut(frame, part, length_unit) for part in range(frame.n_parts)]
     with ResultWriter(path, flip_y=flip_y) as writer:
-        writer.write_pieces(pieces, (*schema.point_fields(length_unit), *schema.nodal_strain_fields()),
+        writer.write_pieces(pieces, (*schema.point_fields(length_unit), *schema.nodal_strain_fields(frame.mesh.dim)),
                             schema.cell_fields())
         if residual:
-            write_residual_image(writer, ChunkGrid(Window.of_size(60, 40)), {0: np.full((40, 60), float(number))})
+            grid = ChunkGrid(Window.of_size(*(60, 40, 20)[:frame.mesh.dim]))
+            write_residual_image(writer, grid, {0: np.full(grid.shape, float(number))})
         iterations = list(range(1, 3 + number))
         writer.write_table(schema.GAUSS_NEWTON, {"iteration": iterations, "residual_std_grey": [2.5] * len(iterations)})
         writer.write_curves(schema.KRYLOV, [[1.0, 10.0**-number]])
@@ -101,10 +102,12 @@ def _cut(frame: FrameFile, part: int, length_unit: str | None) -> Piece:
                                          schema.GLOBAL_NODE_ID: node_ids}
     if length_unit is not None:
         at_nodes[schema.DISPLACEMENT_PHYSICAL] = 0.5 * u
-    tensor = frame.time * STRAIN * np.array([1.0, -0.5, 0.0, 0.0, 0.0, 0.0])
+    dim = mesh.dim
+    tensor = frame.time * STRAIN * np.array([1.0, -0.5, 0.25 if dim == 3 else 0.0, 0.0, 0.0, 0.0])
     for name in (schema.NODAL_INFINITESIMAL, schema.NODAL_GREEN_LAGRANGE, schema.NODAL_HENCKY):
         at_nodes[name] = np.tile(tensor, (len(sub.nodes), 1))
-    for name, value in zip((*schema.NODAL_PRINCIPAL[:2], schema.NODAL_VON_MISES), tensor[[0, 1, 0]], strict=True):
+    values = (*sorted(tensor[:dim], reverse=True), tensor[0])
+    for name, value in zip((*schema.NODAL_PRINCIPAL[:dim], schema.NODAL_VON_MISES), values, strict=True):
         at_nodes[name] = np.full(len(sub.nodes), value)
     on_cells = {spec.name: np.zeros(len(cells), spec.dtype) for spec in schema.cell_fields()}
     on_cells |= {schema.STRAIN_INFINITESIMAL: np.tile(tensor, (len(cells), 1)),

@@ -184,7 +184,9 @@ def make_case(sections: Mapping[str, Any], reference: Any = None) -> Case:
         raise InputError(f"{ARGUMENTS}: near fields need a case; measure a case file, or prepare one and measure its "
                          "frames")
     pixels = reference.pixels if isinstance(reference, Image) else reference
-    is_volume = "volumes" in data or (not isinstance(pixels, str | Path) and np.ndim(pixels) == 3)
+    shape: tuple[int, ...] = getattr(pixels, "shape", ())
+    # Three or four numbers along the last axis are those of a colour.
+    is_volume = "volumes" in data or (len(shape) == 3 and shape[-1] > 4)
     imaging = "volumes" if is_volume else "images"
     return find_frames(convert_to_case(_complete(data, imaging), str(ARGUMENTS)), ARGUMENTS)
 

@@ -34,16 +34,16 @@ from ddic.vectors import (
     WIDTH,
     count,
     count_equal,
-    first_of,
-    least,
+    fill,
+    fill_double,
+    find_least,
+    find_most,
     load,
     mark_first,
-    most,
     round_down,
-    splat,
-    splat_double,
     store,
-    total,
+    sum_lanes,
+    take_first,
     widen,
 )
 
@@ -212,10 +212,10 @@ def _new_scratch():
 @numba.njit(**INLINED)
 def _cubic_weights(t):
     """Weights of the four coefficients about a fraction t of a voxel."""
-    one = splat(1.0)
+    one = fill(1.0)
     u = one - t
-    w0, w3 = u * u * u * splat(1 / 6), t * t * t * splat(1 / 6)
-    w1 = splat(2 / 3) - splat(0.5) * t * t * (one + u)
+    w0, w3 = u * u * u * fill(1 / 6), t * t * t * fill(1 / 6)
+    w1 = fill(2 / 3) - fill(0.5) * t * t * (one + u)
     # The last weight is what the others leave to 1, so that constants are kept to rounding.
     return w0, w1, one - w0 - w1 - w3, w3
 
@@ -239,16 +239,16 @@ def _evaluate_spline(deformed, at, t_x, t_y, t_z):
     at -= 1 + row + plane
     value = (z[0] * _in_plane(c, at, row, x, y) + z[1] * _in_plane(c, at + plane, row, x, y)
              + z[2] * _in_plane(c, at + 2 * plane, row, x, y) + z[3] * _in_plane(c, at + 3 * plane, row, x, y))
-    return splat(deformed.scale) * value + splat(deformed.offset)
+    return fill(deformed.scale) * value + fill(deformed.offset)
 
 
 @numba.njit(**INLINED)
 def _differentiate(f, at, step):
     """Differentiate f at neighbouring voxels along the axis whose next voxel is a step away."""
-    return (splat(DIFFERENCES[0]) * (load(f, at + step) - load(f, at - step))
-            + splat(DIFFERENCES[1]) * (load(f, at + 2 * step) - load(f, at - 2 * step))
-            + splat(DIFFERENCES[2]) * (load(f, at + 3 * step) - load(f, at - 3 * step))
-            + splat(DIFFERENCES[3]) * (load(f, at + 4 * step) - load(f, at - 4 * step)))
+    return (fill(DIFFERENCES[0]) * (load(f, at + step) - load(f, at - step))
+            + fill(DIFFERENCES[1]) * (load(f, at + 2 * step) - load(f, at - 2 * step))
+            + fill(DIFFERENCES[2]) * (load(f, at + 3 * step) - load(f, at - 3 * step))
+            + fill(DIFFERENCES[3]) * (load(f, at + 4 * step) - load(f, at - 4 * step)))
 
 
 @numba.njit(**INLINED)
@@ -387,7 +387,7 @@ def _compare(reference, deformed, row, run, t_x, t_y, t_z, scratch):
 
     t are the fractions of their displacements.
     """
-    counts = _count_voxels(reference, row, run.x, run.n, scratch) * splat(run.weight)
+    counts = _count_voxels(reference, row, run.x, run.n, scratch) * fill(run.weight)
     x, y, z = run.x + run.i, row.y + run.j, row.z + run.k
     if deformed.usable.size > 0:
         counts = counts * _weigh(deformed.usable, deformed.lower, x, y, z, run.n, scratch)
@@ -399,7 +399,7 @@ def _compare(reference, deformed, row, run, t_x, t_y, t_z, scratch):
 def _draw(reference, e, row, run, counts, r, g, correction, scratch, out):
     """Write f - gain g - offset of a run of voxels, NaN where one does not count."""
     # r is f - g where it counts.
-    store(scratch.drawn, 0, r + (splat(1.0) - splat(correction[0, e])) * g - splat(correction[1, e]))
+    store(scratch.drawn, 0, r + (fill(1.0) - fill(correction[0, e])) * g - fill(correction[1, e]))
     store(scratch.weights, 0, counts)
     lower = reference.lower
     for lane in range(run.n):
@@ -418,8 +418,8 @@ def _add_at(sums, place, value):
 def _total_at(sums, place):
     """A sum over all lanes, which become 0."""
     at = place * WIDTH
-    value = total(load(sums, at))
-    store(sums, at, splat_double(0.0))
+    value = sum_lanes(load(sums, at))
+    store(sums, at, fill_double(0.0))
     return value
 
 
@@ -471,14 +471,14 @@ def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, 
         n = _count_together(u, v, w, du, dv, dw, n)
         i, j, k = math.floor(u), math.floor(v), math.floor(w)
         run, places = _Run(x, n, np.int64(i), np.int64(j), np.int64(k), weight), count()
-        counts, r, g = _compare(reference, deformed, row, run, splat(u - i) + places * splat(du),
-                                splat(v - j) + places * splat(dv), splat(w - k) + places * splat(dw), scratch)
+        counts, r, g = _compare(reference, deformed, row, run, fill(u - i) + places * fill(du),
+                                fill(v - j) + places * fill(dv), fill(w - k) + places * fill(dw), scratch)
         x += n
         if out.size > 0:
             _draw(reference, e, row, run, counts, r, g, correction, scratch, out)
             continue
         gradient = _find_gradient(reference, _find_place(reference, run.x, row.y, row.z))
-        from_begin = widen(places + splat(1.0 * step))
+        from_begin = widen(places + fill(1.0 * step))
         _add_grey(scratch.grey, counts, r, g)
         _add_row_moments(scratch.sums, 0, r, gradient, from_begin)
         if n_kinds > 1:
@@ -497,17 +497,17 @@ def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, 
 @numba.njit(**INLINED)
 def _add_up(X, e, i, xi, eta, zeta):
     """A component of sum_m X_m phi_m, but for its constant."""
-    return (xi * (splat(X[e, i, 1]) + eta * (splat(X[e, i, 4]) + zeta * splat(X[e, i, 7])) + zeta * splat(X[e, i, 5]))
-            + eta * (splat(X[e, i, 2]) + zeta * splat(X[e, i, 6])) + zeta * splat(X[e, i, 3]))
+    return (xi * (fill(X[e, i, 1]) + eta * (fill(X[e, i, 4]) + zeta * fill(X[e, i, 7])) + zeta * fill(X[e, i, 5]))
+            + eta * (fill(X[e, i, 2]) + zeta * fill(X[e, i, 6])) + zeta * fill(X[e, i, 3]))
 
 
 @numba.njit(**INLINED)
 def _find_slopes(X, e, i, xi, eta, zeta):
     """Derivatives of a component of sum_m X_m phi_m by xi, eta and zeta."""
-    mixed = splat(X[e, i, 7])
-    by_xi = splat(X[e, i, 1]) + eta * splat(X[e, i, 4]) + zeta * (splat(X[e, i, 5]) + eta * mixed)
-    by_eta = splat(X[e, i, 2]) + xi * splat(X[e, i, 4]) + zeta * (splat(X[e, i, 6]) + xi * mixed)
-    by_zeta = splat(X[e, i, 3]) + xi * splat(X[e, i, 5]) + eta * (splat(X[e, i, 6]) + xi * mixed)
+    mixed = fill(X[e, i, 7])
+    by_xi = fill(X[e, i, 1]) + eta * fill(X[e, i, 4]) + zeta * (fill(X[e, i, 5]) + eta * mixed)
+    by_eta = fill(X[e, i, 2]) + xi * fill(X[e, i, 4]) + zeta * (fill(X[e, i, 6]) + xi * mixed)
+    by_zeta = fill(X[e, i, 3]) + xi * fill(X[e, i, 5]) + eta * (fill(X[e, i, 6]) + xi * mixed)
     return by_xi, by_eta, by_zeta
 
 
@@ -515,23 +515,23 @@ def _find_slopes(X, e, i, xi, eta, zeta):
 def _find_local_coordinates(X, e, inverse, x, y, z):
     """Invert x = X phi(xi, eta, zeta) at neighbouring voxels by Newton's method; x, y, z are from the cell's centre."""
     G = inverse
-    xi = splat(G[0, 0]) * x + splat(G[0, 1] * y + G[0, 2] * z)
-    eta = splat(G[1, 0]) * x + splat(G[1, 1] * y + G[1, 2] * z)
-    zeta = splat(G[2, 0]) * x + splat(G[2, 1] * y + G[2, 2] * z)
+    xi = fill(G[0, 0]) * x + fill(G[0, 1] * y + G[0, 2] * z)
+    eta = fill(G[1, 0]) * x + fill(G[1, 1] * y + G[1, 2] * z)
+    zeta = fill(G[2, 0]) * x + fill(G[2, 1] * y + G[2, 2] * z)
     for _ in range(NEWTON_STEPS):
         p = _add_up(X, e, 0, xi, eta, zeta) - x
-        q = _add_up(X, e, 1, xi, eta, zeta) - splat(y)
-        r = _add_up(X, e, 2, xi, eta, zeta) - splat(z)
+        q = _add_up(X, e, 1, xi, eta, zeta) - fill(y)
+        r = _add_up(X, e, 2, xi, eta, zeta) - fill(z)
         a, b, c = _find_slopes(X, e, 0, xi, eta, zeta)
         d, f, g = _find_slopes(X, e, 1, xi, eta, zeta)
         h, i, j = _find_slopes(X, e, 2, xi, eta, zeta)
         fj, dj, di = f * j - g * i, g * h - d * j, d * i - f * h
-        reciprocal = splat(1.0) / (a * fj + b * dj + c * di)
+        reciprocal = fill(1.0) / (a * fj + b * dj + c * di)
         d_xi = (fj * p + (c * i - b * j) * q + (b * g - c * f) * r) * reciprocal
         d_eta = (dj * p + (a * j - c * h) * q + (c * d - a * g) * r) * reciprocal
         d_zeta = (di * p + (b * h - a * i) * q + (a * f - b * d) * r) * reciprocal
         xi, eta, zeta = xi - d_xi, eta - d_eta, zeta - d_zeta
-        if total(d_xi * d_xi + d_eta * d_eta + d_zeta * d_zeta) <= CLOSE * CLOSE:
+        if sum_lanes(d_xi * d_xi + d_eta * d_eta + d_zeta * d_zeta) <= CLOSE * CLOSE:
             break
     return xi, eta, zeta
 
@@ -541,11 +541,11 @@ def _place_curved(X, e, row, x, n, scratch):
     """Local coordinates of n neighbouring voxels, at most a vector; their monomials are left in ``scratch.lanes``."""
     counts = mark_first(n)
     # Beyond the last one it is repeated: nothing is known of what lies outside the cell.
-    places = counts * count() + (splat(1.0) - counts) * splat(n - 1)
-    xi, eta, zeta = _find_local_coordinates(X, e, scratch.inverse, places + splat(x - X[e, 0, 0]),
+    places = counts * count() + (fill(1.0) - counts) * fill(n - 1)
+    xi, eta, zeta = _find_local_coordinates(X, e, scratch.inverse, places + fill(x - X[e, 0, 0]),
                                             row.y - X[e, 1, 0], row.z - X[e, 2, 0])
     lanes, xi_eta = scratch.lanes, xi * eta
-    store(lanes, 0, splat(1.0))
+    store(lanes, 0, fill(1.0))
     store(lanes, WIDTH, xi)
     store(lanes, 2 * WIDTH, eta)
     store(lanes, 3 * WIDTH, zeta)
@@ -571,19 +571,19 @@ def _visit_curved_row(cells, displacement, reference, deformed, e, row, inside, 
     while x < row.stop:
         n, weight = min(row.stop - x, WIDTH), 1.0
         xi, eta, zeta = _place_curved(X, e, row, x, n, scratch)
-        u = _add_up(D, e, 0, xi, eta, zeta) + splat(D[e, 0, 0] - base_u)
-        v = _add_up(D, e, 1, xi, eta, zeta) + splat(D[e, 1, 0] - base_v)
-        w = _add_up(D, e, 2, xi, eta, zeta) + splat(D[e, 2, 0] - base_w)
-        if not inside and (_reaches_out(sizes[0], x, x + n - 1, least(u) + base_u, most(u) + base_u)
-                           or _reaches_out(sizes[1], row.y, row.y, least(v) + base_v, most(v) + base_v)
-                           or _reaches_out(sizes[2], row.z, row.z, least(w) + base_w, most(w) + base_w)):
+        u = _add_up(D, e, 0, xi, eta, zeta) + fill(D[e, 0, 0] - base_u)
+        v = _add_up(D, e, 1, xi, eta, zeta) + fill(D[e, 1, 0] - base_v)
+        w = _add_up(D, e, 2, xi, eta, zeta) + fill(D[e, 2, 0] - base_w)
+        if not inside and (_reaches_out(sizes[0], x, x + n - 1, find_least(u) + base_u, find_most(u) + base_u)
+                           or _reaches_out(sizes[1], row.y, row.y, find_least(v) + base_v, find_most(v) + base_v)
+                           or _reaches_out(sizes[2], row.z, row.z, find_least(w) + base_w, find_most(w) + base_w)):
             n = 1
-            alone_u, alone_v, alone_w, weight = _place_alone(deformed, row, x, first_of(u) + base_u,
-                                                             first_of(v) + base_v, first_of(w) + base_w)
-            u, v, w = splat(alone_u - base_u), splat(alone_v - base_v), splat(alone_w - base_w)
+            alone_u, alone_v, alone_w, weight = _place_alone(deformed, row, x, take_first(u) + base_u,
+                                                             take_first(v) + base_v, take_first(w) + base_w)
+            u, v, w = fill(alone_u - base_u), fill(alone_v - base_v), fill(alone_w - base_w)
         i, j, k = round_down(u), round_down(v), round_down(w)
-        first_i, first_j, first_k = first_of(i), first_of(j), first_of(k)
-        n = min(n, count_equal(i, splat(first_i)), count_equal(j, splat(first_j)), count_equal(k, splat(first_k)))
+        first_i, first_j, first_k = take_first(i), take_first(j), take_first(k)
+        n = min(n, count_equal(i, fill(first_i)), count_equal(j, fill(first_j)), count_equal(k, fill(first_k)))
         run = _Run(x, n, np.int64(first_i) + np.int64(base_u), np.int64(first_j) + np.int64(base_v),
                    np.int64(first_k) + np.int64(base_w), weight)
         counts, r, g = _compare(reference, deformed, row, run, u - i, v - j, w - k, scratch)
@@ -681,7 +681,7 @@ def _add_slopes(scratch, reference, row, k, n):
     counts = _count_voxels(reference, row, row.x + k, n, scratch)
     f_x, f_y, f_z = _find_gradient(reference, _find_place(reference, row.x + k, row.y, row.z))
     f_x, f_y, f_z = widen(counts * f_x), widen(counts * f_y), widen(counts * f_z)
-    place = widen(count() + splat(1.0 * k))
+    place = widen(count() + fill(1.0 * k))
     _add_powers(scratch.sums, 0, f_x * f_x, place)
     _add_powers(scratch.sums, 3, f_x * f_y, place)
     _add_powers(scratch.sums, 6, f_x * f_z, place)

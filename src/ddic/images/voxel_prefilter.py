@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from ddic.vectors import WIDTH, load, splat, store
+from ddic.vectors import WIDTH, fill, load, store
 
 POLE = math.sqrt(3.0) - 2.0
 
@@ -35,9 +35,9 @@ FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "num
 @numba.njit(**FLAGS, _nrt=False, forceinline=True)
 def _filter(values, at, step):
     """Filter along the axis whose next voxel is a step away."""
-    sum_ = splat(WEIGHTS[0]) * load(values, at)
+    sum_ = fill(WEIGHTS[0]) * load(values, at)
     for k in range(1, TAPS + 1):
-        sum_ = sum_ + splat(WEIGHTS[k]) * (load(values, at + k * step) + load(values, at - k * step))
+        sum_ = sum_ + fill(WEIGHTS[k]) * (load(values, at + k * step) + load(values, at - k * step))
     return sum_
 
 
@@ -46,7 +46,7 @@ def _filter_row(row, values, offset, to, out):
     """Filter a row of grey levels less an offset along x, from a place on of an array."""
     n = len(values)
     for x in range(0, n - WIDTH + 1, WIDTH):
-        store(row, x, load(values, x) - splat(offset))
+        store(row, x, load(values, x) - fill(offset))
     for x in range(n // WIDTH * WIDTH, n):
         row[x] = values[x] - offset
     for x in range(0, n - 2 * TAPS, WIDTH):
@@ -58,10 +58,10 @@ def _store_row(values, at, step, scale, last, out):
     """Filter a row of numbers along z, and round what comes of it."""
     width = len(out)
     for x in range(0, width - WIDTH + 1, WIDTH):
-        store(out, x, splat(scale) * _filter(values, at + x, step))
+        store(out, x, fill(scale) * _filter(values, at + x, step))
     rest = width // WIDTH * WIDTH
     if rest < width:
-        store(last, 0, splat(scale) * _filter(values, at + rest, step))
+        store(last, 0, fill(scale) * _filter(values, at + rest, step))
         for k in range(width - rest):
             out[rest + k] = last[k]
 

@@ -17,7 +17,7 @@ from ddic.case.schema import (
 from ddic.errors import InputError
 from ddic.images.window import Window
 from ddic.io.mesh_file import read_mesh
-from ddic.io.volume_file import read_mask
+from ddic.io.volume_file import open_mask
 from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import OutlinedHole, RegionLike, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity
@@ -150,10 +150,10 @@ def _check_size(section: MeshedSection, name: str, bytes_per_cell: int) -> None:
 
 def _structured(section: StructuredSection, extent: Window) -> Mesh:
     _check_size(section, "mesh.structured", BYTES_PER_CELL)
-    mask = None if section.mask is None else read_mask(section.mask, extent)
+    mask = None if section.mask is None else open_mask(section.mask, extent)
     outlined: list[OutlinedHole] = []
     if mask is not None and section.mask_outline == "snapped":
-        outlined, mask = find_mask_holes(mask, section.box, section.element_size), None
+        outlined, mask = find_mask_holes(mask.read(extent) != 0, section.box, section.element_size), None
     circles, polygons = _list_holes(section)
     return build_structured_mesh(_region(section), section.element_size, section.cell, circles,
                                  [*polygons, *outlined], mask)

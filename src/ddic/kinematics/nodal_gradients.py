@@ -3,9 +3,9 @@
 The mean of the gradients of the triangles, or tetrahedra, that a node makes with its neighbours along edges, weighted
 by their sizes, is the gradient at the node where the displacement is linear. Curvature adds to it where they do not
 lie evenly about the node; it is taken away by the slopes of the gradients in the middle of the cells, which are found
-by least squares as in superconvergent patch recovery (Zienkiewicz and Zhu, IJNME 33, 1992). At edges of the mesh and along
-discontinuities, where cells lie to one side, neighbours tell the slopes, and gradients are averaged along the edge. No
-cell across a discontinuity is asked: its nodes are others. All comes of sums over the cells around each node.
+by least squares as in superconvergent patch recovery (Zienkiewicz and Zhu, IJNME 33, 1992). At edges of the mesh and
+along discontinuities, where cells lie to one side, neighbours tell the slopes, and gradients are averaged along the
+edge. No cell across a discontinuity is asked: its nodes are others. All comes of sums over the cells around each node.
 """
 
 from collections.abc import Callable, Sequence

@@ -2,15 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
 from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
-from ddic.mesh.cell_type import Q4, T3
+from ddic.images.source import ImageSource
+from ddic.images.window import Window
+from ddic.mesh.cell_type import HEX8, Q4, T3
 from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import (
     Outline,
@@ -194,8 +198,8 @@ tips, are left out. A larger value may lose what was to be measured."""
 def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal["Q4", "T3"] = "Q4",
                     circles: Sequence[tuple[tuple[float, float], float]] = (),
                     polygons: Sequence[Array | OutlinedHole] = (),
-                    mask: BoolArray | None = None) -> Mesh:
-    """Mesh a region by regular cells.
+                    mask: BoolArray | ImageSource | None = None) -> Mesh:
+    """Mesh a region by regular cells, in a volume a box by Hex8.
 
     A cell is removed if its centre lies in a hole, then the nodes around the hole are moved onto its outline; where the
     hole meets a cell at a corner, that corner is cut off, so that a Q4 mesh with holes holds some T3. All around a
@@ -204,7 +208,8 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
     Parameters
     ----------
     region : (x0, y0, x1, y1), (centre, radius) or (n, 2) array
-        A box, which cells cover exactly, a circle, or the vertices of a polygon; pixels.
+        A box, which cells cover exactly, in a volume (x0, y0, z0, x1, y1, z1); a circle, or the vertices of a polygon;
+        pixels.
     element_size : float
         Pixels; there are round(side / element_size) cells along a side of the region's box, at least one, so that cells
         are stretched slightly where the size does not divide the side.
@@ -214,14 +219,15 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
         Round holes, pixels.
     polygons : sequence of (n, 2) arrays or OutlinedHole
         Vertices of other holes, pixels; what ``find_mask_holes`` finds in a mask.
-    mask : (height, width) bool array, optional
-        True where cells may be; a cell is kept if at least half of its pixels are.
+    mask : array of an image's shape or ImageSource, optional
+        Not 0 where cells may be; a cell is kept if at least half of its pixels are.
 
     Returns
     -------
     Mesh
         With node sets left, right, top, bottom, by where the outer boundary faces, and hole_0, hole_1, ... (circles,
-        polygons, then what the mask leaves out inside).
+        polygons, then what the mask leaves out inside). In a volume they are the nodes on the box's faces, with front
+        and back.
 
     Raises
     ------
@@ -231,8 +237,14 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
     outline = convert_region(region, f"{NAME}.region")
     box: Any = region if outline is None else outline.box
     refuse_impossible(box, element_size, cell, NAME)
-    if mask is not None and np.ndim(mask) != 2:
-        raise InputError(f"{NAME}: a mask of shape {np.shape(mask)}, (height, width) expected")
+    dim = len(box) // 2
+    if isinstance(mask, np.ndarray) and mask.ndim != dim:
+        expected = "(height, width)" if dim == 2 else "(depth, height, width)"
+        raise InputError(f"{NAME}: a mask of shape {mask.shape}, {expected} expected")
+    if dim == 3:
+        if cell != "Q4" or len(circles) or len(polygons):
+            raise InputError(f"{NAME}: circles, polygons and T3 are of a plane; a box in a volume is meshed by Hex8")
+        return _build_box(box, element_size, mask)
     grid, around = build_grid_lines(box, element_size), []
     declared = convert_holes(circles, [hole for hole in polygons if not isinstance(hole, OutlinedHole)], NAME)
     outlined = [hole for hole in polygons if isinstance(hole, OutlinedHole)]
@@ -264,9 +276,9 @@ def refuse_impossible(box: Sequence[float], element_size: float, cell: str, name
     """
     given = f"{name}: region = {box}, element_size = {element_size}"
     numbers = np.asarray([*box, element_size])
-    if len(box) != 4 or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+    if len(box) not in (4, 6) or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
         raise InputError(f"{given}: expected (x0, y0, x1, y1) and a size, finite numbers of pixels")
-    if not (box[0] < box[2] and box[1] < box[3] and element_size > 0):
+    if not ((np.diff(np.reshape(box, (2, -1)), axis=0) > 0).all() and element_size > 0):
         raise InputError(f"{given}: expected x0 < x1, y0 < y1 and a size above 0")
     if cell not in ("Q4", "T3"):
         raise InputError(f'{name}: cell = "{cell}": expected "Q4" or "T3"')
@@ -296,11 +308,20 @@ def count_cells(region: Sequence[float], element_size: float, name: str = NAME) 
     return tuple(max(1, round(float(sides))) for sides in along)
 
 
-def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: BoolArray | None) -> BoolArray:
+def _build_box(box: Sequence[float], element_size: float, mask: BoolArray | ImageSource | None) -> Mesh:
+    """Mesh a box in a volume."""
+    grid = build_grid_lines(box, element_size)
+    cells = grid.cells[_kept_cells(grid, [], mask)]
+    mesh = replace(build_mesh(grid.nodes, {HEX8: cells}), node_sets=grid.sides)
+    mesh = mesh.create_submesh(np.arange(mesh.n_cells))[0]
+    return replace(mesh, node_sets={name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)})
+
+
+def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: BoolArray | ImageSource | None) -> BoolArray:
     """Cells in no hole and in the mask."""
-    kept: BoolArray = ~np.logical_or.reduce([np.zeros(len(grid.cells), dtype=bool), *in_holes])
+    kept: BoolArray = ~np.logical_or.reduce([np.zeros(grid.n_cells, dtype=bool), *in_holes])
     if mask is not None:
-        kept &= _cells_in_mask(grid, np.asarray(mask) != 0)
+        kept &= _cells_in_mask(grid, mask)
     if not kept.any():
         raise InputError("mesh.structured: no cell is left; holes and mask cover the whole region")
     return kept
@@ -316,19 +337,28 @@ def _cells_in_hole(grid: GridLines, hole: Outline, number: int) -> BoolArray:
     return np.asarray(inside)
 
 
-def _cells_in_mask(grid: GridLines, mask: BoolArray) -> BoolArray:
+def _cells_in_mask(grid: GridLines, mask: BoolArray | ImageSource) -> BoolArray:
     """Cells with at least half of their pixel centres in the mask; outside of it counts as False."""
-    width = mask.shape[1]
+    extent = Window.of_size(*mask.shape[::-1]) if isinstance(mask, np.ndarray) else mask.extent
     # Half-open cells, x <= centre < x', give every pixel centre to exactly one cell.
-    columns, rows = np.ceil(grid.x).astype(np.int64), np.ceil(grid.y).astype(np.int64)
-    clipped = np.clip(columns, 0, width)
-    kept = np.empty((len(rows) - 1, len(columns) - 1), dtype=bool)
-    for k, (top, bottom) in enumerate(pairwise(rows)):
-        in_column = mask[max(top, 0):max(bottom, 0)].sum(axis=0)
-        up_to = np.concatenate([[0], np.cumsum(in_column)])
-        in_cell = np.diff(up_to[clipped])
-        n_pixels = np.diff(columns) * (bottom - top)
-        kept[k] = 2 * in_cell >= n_pixels
+    ends = [np.ceil(line).astype(np.int64) for line in grid.lines]
+    inside = [np.clip(of_line, 0, size) for of_line, size in zip(ends, extent.sizes, strict=True)]
+    n_across = reduce(np.multiply.outer, [np.diff(of_line) for of_line in ends[-2::-1]])
+    kept = np.empty(grid.n_along[::-1], dtype=bool)
+    # Rows of cells, in a volume layers of them, one by one: nobody holds all of a volume's mask.
+    for k, (first, last) in enumerate(pairwise(inside[-1].tolist())):
+        found: NDArray[Any]
+        if isinstance(mask, np.ndarray):
+            found = mask[first:last]
+        else:
+            # Sources refuse to read nothing.
+            found = mask.read(extent.take_rows(first, last)) if first < last else np.zeros((0, *extent.shape[1:]))
+        in_cells = np.count_nonzero(found, axis=0)
+        for places in inside[-2::-1]:
+            # Axis by axis, each of which comes last in its turn.
+            up_to = np.pad(np.cumsum(in_cells, axis=0), [(1, 0), *[(0, 0)] * (in_cells.ndim - 1)])
+            in_cells = np.moveaxis(np.diff(up_to[places], axis=0), 0, -1)
+        kept[k] = 2 * in_cells >= n_across * (ends[-1][k + 1] - ends[-1][k])
     return kept.ravel()
 
 

@@ -392,7 +392,8 @@ class _ReferenceSession:
 
     def _gather(self, state: FrameState) -> Array:
         """The displacement of all nodes since the first reference image, (n_nodes, dim), pixels; collective."""
-        dim, reference = self.images.case.dim, self.session.problem.reference
+        reference = self.session.problem.reference
+        dim = reference.inputs.case.dim
         # The unknowns of the subdomains are displacements of nodes.
         own = [(subdomain.node_ids, state.unknowns[subdomain.index].reshape(-1, dim))
                for subdomain in reference.subdomains]

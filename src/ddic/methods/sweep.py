@@ -298,7 +298,7 @@ def _split_rows(shape: Sequence[int]) -> Iterator[range]:
 
 def _list_points(*along: range) -> Array:
     """Pixel centres at some rows and columns, x first, (dim, rows, ...), pixels."""
-    return np.stack(np.meshgrid(*along, indexing="ij")[::-1]).astype(np.float64, copy=False)
+    return np.asarray(np.stack(np.meshgrid(*along, indexing="ij")[::-1]), dtype=np.float64)
 
 
 def render_virtual_image(grey: Array, displacement: Array) -> NDArray[np.float32]:

@@ -183,11 +183,11 @@ def draw(kind: str, drawing: Drawing, shared: SharedScale | None = None) -> Figu
     figure = _draw_kind(kind, drawing, shared)
     look = drawing.look
     if look.scale_bar is not None:
-        shown = canvas.list_image_axes(figure)
+        pictures = canvas.list_image_axes(figure)
         if drawing.slices is not None:
             # They have one scale: one bar will do, where there is most room.
-            shown = sorted(shown, key=lambda axes: -float(np.ptp(axes.get_xlim())))[:1]
-        for axes in shown:
+            pictures = sorted(pictures, key=lambda axes: -float(np.ptp(axes.get_xlim())))[:1]
+        for axes in pictures:
             canvas.draw_scale_bar(axes, look.unit, look.scale_bar or None)
     if look.title is not None:
         canvas.set_titles(figure, look.title)

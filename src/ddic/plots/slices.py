@@ -281,8 +281,8 @@ def _make_orthogonal(slices: Slices, titles: Sequence[str], unit: LengthUnit,
             axes = figure.add_axes((*(place.p0 + place.size * np.array([corner[0], below])), *(place.size * share)))
             canvas.set_up_axes(axes, boxes[one.axis], unit, place.size * share * figure.get_size_inches())
             # Beside the edge of the page there may be no room for it.
-            side = "right" if one.axis == "x" else "left"
-            axes.set_title(one.describe(unit), loc=side, fontsize=NAME_POINTS, pad=3.0)
+            axes.set_title(one.describe(unit), loc="right" if one.axis == "x" else "left", fontsize=NAME_POINTS,
+                           pad=3.0)
             # Numbers and name of an axis that two share stand at the outer one.
             axes.tick_params(labelbottom=one.axis != "z", labelleft=one.axis != "x")
             across, down = (f"{name} [{unit.name}]" for name in PLANES[one.axis])

@@ -1,6 +1,7 @@
 """Speckles found again by their looks, whatever the rotation, and the displacement that they give.
 
-OpenCV's SIFT finds them in images, balls of blocks stand in for them in volumes; affine maps through a few neighbours tell which of them err, in each piece of a region.
+OpenCV's SIFT finds them in images, balls of blocks stand in for them in volumes. Affine maps through a few neighbours
+tell which of them err, in each piece of a region.
 """
 
 from dataclasses import dataclass

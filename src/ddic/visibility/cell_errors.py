@@ -232,7 +232,7 @@ def describe_exclusions(team: Team, marked: Sequence[MarkedCells], n_cells: int,
 
 
 def bound_cells(mesh: Mesh, chosen: BoolArray) -> tuple[Array, IntArray]:
-    """Bound some cells: lower and upper corners of their boxes, (n, 2, dim), pixels; and their nodes, (n, n_corners)."""
+    """Bound some cells: lower and upper corners of their boxes, (n, 2, dim), pixels; and their nodes, a row each."""
     nodes = pad_cells(mesh)[chosen]
     corners = mesh.nodes[nodes]
     return np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1), nodes
