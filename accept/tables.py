@@ -132,6 +132,11 @@ TABLES: dict[str, dict[str, str]] = {
         "shapes": "xdic.measure_shapes",
         "solvers": "xdic.measure_solvers",
     },
+    "volumes": {
+        "accuracy": "volumes.measure_accuracy",
+        "bias": "volumes.measure_bias",
+        "snow": "volumes.measure_snow",
+    },
     "papers": {
         "found_lines": "found_lines.measure_found_lines",
         "figures": "papers.measure_figures",

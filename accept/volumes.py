@@ -99,16 +99,17 @@ def measure_bias(scale: Scale) -> list[Row]:
 
 @dataclass(frozen=True)
 class _Applied:
-    """What moves the snow: x -> F (x - middle) + middle + translation, and waves."""
+    """What moves the snow: x -> F (x - middle) + middle + translation, and waves; cut-off wavelengths, 0 for none."""
 
     name: str
     gradient: Array
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wave: float = 0.0
+    wavelengths: tuple[float, ...] = (0.0, 48.0)
 
     def displace(self, points: Array, middle: float) -> Array:
         """The displacement at points, (n, 3), voxels."""
-        waves = self.wave * np.sin(2.0 * np.pi * points[:, [1, 2, 0]] / 64.0)
+        waves = self.wave * np.sin(2.0 * np.pi * points[:, [1, 2, 0]] / WAVE)
         return np.asarray(self.translation + (points - middle) @ (self.gradient - np.eye(3)).T + waves)
 
 
@@ -123,13 +124,17 @@ def _turn(degrees: float, axis: Array) -> Array:
 APPLIED = (
     _Applied("translation of (1.3, -0.7, 0.4) voxels and waves of 0.5 voxels", np.eye(3), (1.3, -0.7, 0.4), 0.5),
     _Applied("20 degrees about (1, 2, 3)", _turn(20.0, np.array([1.0, 2.0, 3.0]))),
-    _Applied("15 % of stretch along x, -4 % along y and z", np.diag([1.15, 0.96, 0.96])),
+    _Applied("15 % of stretch along x, -4 % along y and z", np.diag([1.15, 0.96, 0.96]),
+             # Mechanics of free faces, the default, are not those of a cube that is pulled.
+             wavelengths=(0.0,)),
 )
 """Fields that are applied to the snow."""
 
-SNOW_NOISE, SNOW_MARGIN, SNOW_ELEMENT, SNOW_WAVELENGTH = 0.02, 26, 12, 48
-"""Noise over the standard deviation of the grey levels; edge without elements, side of the elements and cut-off
-wavelength, voxels."""
+WAVE = 128.0
+"""Length of the waves that move the snow, voxels."""
+
+SNOW_NOISE, SNOW_MARGIN, SNOW_ELEMENT = 0.02, 26, 12
+"""Noise over the standard deviation of the grey levels; edge without elements and side of the elements, voxels."""
 
 
 def measure_snow(scale: Scale) -> list[Row]:
@@ -147,14 +152,16 @@ def measure_snow(scale: Scale) -> list[Row]:
         moved = moved + sigma * np.random.default_rng(number).standard_normal(moved.shape)
         for name, values in (("reference", snow), ("deformed", moved)):
             tifffile.imwrite(folder / f"{name}.tif", np.clip(np.rint(values), 0, 65535).astype(np.uint16))
-        extra = _cut_off(SNOW_WAVELENGTH)
-        summary = ddic_run(write_case(folder, (size, SNOW_MARGIN), SNOW_ELEMENT, extra), folder, N_RANKS)
-        result = read_result(folder / "result.vtkhdf")
-        error = result.displacement - applied.displace(result.mesh.nodes, middle)
-        rms, floor = float(np.sqrt((error**2).mean())), summary["noise_floor_px"]
-        append_result("volumes_runs", {"applied": applied.name, "error_px": rms, **summary})
-        rows.append(Row(f"snow, 100^3, 16 bit, {applied.name}, noise of {SNOW_NOISE:.0%} of the contrast, Hex8 of "
-                        f"{SNOW_ELEMENT} voxels, l_c = {SNOW_WAVELENGTH} voxels: RMS error of all nodes",
-                        f"<= {MOST_FLOORS:g} of the noise floor that the run tells",
-                        f"{rms:.4f} of {floor:.4f} voxels", rms <= MOST_FLOORS * floor))
+        for wavelength in applied.wavelengths:
+            extra = _cut_off(wavelength) if wavelength else ""
+            summary = ddic_run(write_case(folder, (size, SNOW_MARGIN), SNOW_ELEMENT, extra), folder, N_RANKS)
+            result = read_result(folder / "result.vtkhdf")
+            error = result.displacement - applied.displace(result.mesh.nodes, middle)
+            rms, floor = float(np.sqrt((error**2).mean())), summary["noise_floor_px"]
+            append_result("volumes_runs", {"applied": applied.name, "error_px": rms, **summary})
+            gap = f"l_c = {wavelength:g} voxels" if wavelength else "no regularization"
+            rows.append(Row(f"snow, 100^3, 16 bit, {applied.name}, noise of {SNOW_NOISE:.0%} of the contrast, Hex8 of "
+                            f"{SNOW_ELEMENT} voxels, {gap}: RMS error of all nodes",
+                            f"<= {MOST_FLOORS:g} of the noise floor that the run tells",
+                            f"{rms:.4f} of {floor:.4f} voxels", rms <= MOST_FLOORS * floor))
     return rows

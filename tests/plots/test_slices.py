@@ -39,7 +39,7 @@ def test_what_is_sampled_is_the_field_and_nothing_in_a_hole(mesh: Mesh) -> None:
     asked = [("z", 20.0), ("x", 25.5), ("y", 20.0), ("z", 31.25)]
     for one in choose_slices(mesh, None, asked):
         points = points_of(one)
-        sampled = one.sample(mesh, displace(mesh.nodes)[:, 2])
+        sampled = one.sample(displace(mesh.nodes)[:, 2])
         expected = np.where(is_in_hole(points), np.nan, displace(points.reshape(-1, 3))[:, 2].reshape(one.shape))
         # A linear field is interpolated to rounding; its values are below 1.
         np.testing.assert_allclose(sampled, expected, rtol=0, atol=1e-13)
@@ -56,7 +56,7 @@ def test_values_on_cells_are_those_of_the_cell_that_holds_the_point() -> None:
         is_inside = (np.abs(in_cells - np.rint(in_cells)) > 1e-9).all(axis=-1)
         assert is_inside.mean() > 0.99
         for k in range(3):
-            sampled = one.sample(mesh, mesh.centroids[:, k], by_cell=True)
+            sampled = one.sample(mesh.centroids[:, k], by_cell=True)
             expected = np.where(is_in_hole(points), np.nan, middles[..., k])
             np.testing.assert_allclose(sampled[is_inside], expected[is_inside], atol=1e-12)
         # An edge lies between two cells, a point wide: cells are wider than 60 points.

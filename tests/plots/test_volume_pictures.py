@@ -93,7 +93,7 @@ def test_fields_are_drawn_on_slices_over_the_grey_levels(path: Path) -> None:
     assert len(axes) == 3
     for of_slice, one in zip(axes, slices, strict=True):
         field, grey = of_slice.images
-        sampled = one.sample(result.mesh, 0.5 * displace(result.mesh.nodes)[:, 2])
+        sampled = one.sample(0.5 * displace(result.mesh.nodes)[:, 2])
         np.testing.assert_array_equal(field.get_array().filled(np.nan), sampled)
         x0, y0, x1, y1 = (0.5 * value for value in one.box)
         assert field.get_extent() == [x0, x1, y1, y0]

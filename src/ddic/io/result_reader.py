@@ -162,7 +162,8 @@ class Result:
             ``ddic plot``.
         **look
             ``component`` of the displacement (x, y, magnitude), ``number`` of the strain (xx, yy, xy, principal-1,
-            principal-2, von-mises), ``limits`` of the colours, ``palette`` (matplotlib's name), ``title``.
+            principal-2, von-mises), ``limits`` of the colours, ``palette`` (matplotlib's name), ``title``. Volumes,
+            shown in slices through the middle of the mesh, have z, zz, yz, xz and principal-3 too.
 
         Returns
         -------

@@ -11,6 +11,9 @@ THIN = 0.02
 """Width of a set of points, times its length, below which they are on a line and tell no affine map. A larger value
 takes a similarity for more of them."""
 
+LEAST_TURN = 1e-6
+"""Weight, relative to what points tell, of the wish for no rotation where they tell none."""
+
 N_NEIGHBOURS = 12
 """Neighbours that an affine map is fitted to: twice its unknowns a component, and as many again for wrong ones."""
 
@@ -49,17 +52,21 @@ class AffineMap:
 
 
 def fit_affine_map(points: Array, displacement: Array) -> AffineMap:
-    """Fit the map of least squares that the points tell, at least one, (n, 2), pixels.
+    """Fit the map of least squares that the points tell, at least one, (n, dim), pixels.
 
-    It is a translation of one point, a rotation with a scale of two or of several on a line, affine of others.
+    It is a translation of one point, a rotation with a scale of two or of several on a line, in space in a plane too,
+    affine of others.
     """
     centre, translation = points.mean(axis=0), displacement.mean(axis=0)
     offsets, rest = points - centre, displacement - translation
     axes = np.linalg.svd(offsets, compute_uv=False)
     if axes[0] == 0.0:
         return AffineMap(centre, translation, np.zeros((len(centre), len(centre))))
-    if len(axes) > 1 and axes[1] > THIN * axes[0]:
+    dim = len(centre)
+    if len(axes) == dim and axes[-1] > THIN * axes[0]:
         return AffineMap(centre, translation, np.linalg.lstsq(offsets, rest, rcond=None)[0].T)
+    if dim == 3:
+        return AffineMap(centre, translation, fit_similarity(offsets, offsets + rest) - np.eye(3))
     return AffineMap(centre, translation, fit_complex_factor(offsets, rest))
 
 
@@ -72,6 +79,17 @@ def fit_complex_factor(points: Array, images: Array) -> Array:
     (x, y), (u, v) = points.T, images.T
     c, s = np.array([x @ u + y @ v, x @ v - y @ u]) / (x @ x + y @ y)
     return np.array([[c, -s], [s, c]])
+
+
+def fit_similarity(points: Array, images: Array) -> Array:
+    """Fit the rotation with a scale, (3, 3), of least squares that takes points to their images, both (n, 3).
+
+    Of points on a line, which leave the rotation about it open, it is the least rotation.
+    """
+    products = images.T @ points
+    u, _, v = np.linalg.svd(products + LEAST_TURN * np.linalg.norm(products) * np.eye(3))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    return np.asarray(rotation * ((rotation * products).sum() / (points**2).sum()))
 
 
 def interpolate_robustly(points: Array, displacement: Array, places: Array, *, skip: int = 0) -> Array:

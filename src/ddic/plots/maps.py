@@ -182,7 +182,7 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Below, unit: LengthU
                 scales: Sequence[ColourScale]) -> Figure:
     """Draw panels of values on one mesh, over the image where it is given; ``scales`` has one for each panel."""
     if isinstance(image, tuple):
-        return _draw_on_slices(mesh, shown, image, unit, scales)
+        return _draw_on_slices(shown, image, unit, scales)
     nodes = unit.size * mesh.nodes
     bounds = canvas.find_mesh_bounds(nodes, MARGIN)
     if image is not None:
@@ -202,22 +202,22 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Below, unit: LengthU
     return figure
 
 
-def _draw_on_slices(mesh: Mesh, shown: Sequence[Values], slices: Slices, unit: LengthUnit,
+def _draw_on_slices(shown: Sequence[Values], slices: Slices, unit: LengthUnit,
                     scales: Sequence[ColourScale]) -> Figure:
     """The same on slices of a volume."""
     figure, views = make_views(slices, [panel.title for panel in shown], unit)
+    grey = slices[0].grey
     for of_panel, panel, scale in zip(views, shown, scales, strict=True):
-        grey = slices[0].grey
-        style = Normalize(*scale.find_limits(panel.values)), colormaps[scale.palette or canvas.COLOURS]
+        norm, palette = Normalize(*scale.find_limits(panel.values)), colormaps[scale.palette or canvas.COLOURS]
         for axes, one in zip(of_panel.axes, slices, strict=True):
-            one.show(axes, one.sample(mesh, panel.values, by_cell=panel.by_cell), unit, norm=style[0], cmap=style[1],
+            one.show(axes, one.sample(panel.values, by_cell=panel.by_cell), unit, norm=norm, cmap=palette,
                      alpha=1.0 if grey is None else OPACITY)
         # Of all values, not of those in one slice.
-        colours = ScalarMappable(*style)
+        colours = ScalarMappable(norm, palette)
         colours.set_array(panel.values)
+        shown_as = None if grey is None else _mix_with_grey(palette, grey.measure_grey())
         for host in of_panel.hosts:
-            canvas.add_colour_bar(figure, host, colours, scale.format_label(panel.label),
-                                  None if grey is None else _mix_with_grey(style[1], grey.measure_grey()))
+            canvas.add_colour_bar(figure, host, colours, scale.format_label(panel.label), shown_as)
     return figure
 
 

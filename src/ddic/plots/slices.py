@@ -75,11 +75,6 @@ class Slice:
     search: CellSearch
     grey: Preview | None = None
 
-    @property
-    def name(self) -> str:
-        """The place in short, as names of files have it."""
-        return f"{self.axis}{self.place:g}"
-
     def describe(self, unit: LengthUnit) -> str:
         """Say which plane it is."""
         return f"{self.axis} = {unit.size * self.place:g} {unit.name}"
@@ -120,17 +115,16 @@ class Slice:
         edges[:, 1:] |= cells[:, 1:] != cells[:, :-1]
         return edges
 
-    def sample(self, mesh: Mesh, values: Array, *, by_cell: bool = False) -> Array:
+    def sample(self, values: Array, *, by_cell: bool = False) -> Array:
         """Sample values at nodes or on cells, (n,), at the points, (rows, columns); nan where there is no cell."""
         if by_cell:
             return np.append(values, np.nan)[self.cells]
-        return interpolate_located(mesh, values[:, None], self._located).reshape(self.shape)
+        return interpolate_located(self.search.mesh, values[:, None], self._located).reshape(self.shape)
 
     def show(self, axes: Axes, sampled: NDArray[Any], unit: LengthUnit, **style: Any) -> AxesImage:
         """Show what was sampled, values or colours, in a style of ``imshow``, over the grey levels."""
         x0, y0, x1, y1 = _convert(self.box, unit)
-        drawn = axes.imshow(sampled, rasterized=True, extent=(x0, x1, y1, y0), zorder=1,
-                            **style)
+        drawn = axes.imshow(sampled, rasterized=True, extent=(x0, x1, y1, y0), zorder=1, **style)
         if self.grey is not None:
             self.grey.draw(axes, unit.size)
         self.set_bounds(axes, unit)
@@ -155,7 +149,6 @@ class Slice:
 
 
 Slices = tuple[Slice, ...]
-
 
 Below = Preview | Slices | None
 """What values are drawn over: an image, or nothing; of a volume slices, with its grey levels where they are known."""
@@ -230,7 +223,8 @@ def make_views(slices: Slices, titles: Sequence[str], unit: LengthUnit = PIXELS,
 
     Thin lines show where they cut one another. ``beside`` is the room to the right of the axes, inches.
     """
-    if sorted(one.axis for one in slices) == sorted(PLANES):
+    is_orthogonal = sorted(one.axis for one in slices) == sorted(PLANES)
+    if is_orthogonal:
         figure, views = _make_orthogonal(slices, titles, unit, beside)
     else:
         boxes = [_convert(one.shown, unit) for one in slices]
@@ -238,11 +232,13 @@ def make_views(slices: Slices, titles: Sequence[str], unit: LengthUnit = PIXELS,
         figure, panels = canvas.make_panels(boxes * len(titles), named, unit, beside=beside)
         by_title = [panels[k:k + len(slices)] for k in range(0, len(panels), len(slices))]
         views = [Views(axes, axes) for axes in by_title]
-        for axes, one in zip(panels, slices * len(titles), strict=True):
-            across, down = (f"{name} [{unit.name}]" for name in PLANES[one.axis])
-            axes.set(xlabel=across, ylabel=down)
     for of_title in views:
         for axes, one in zip(of_title.axes, slices, strict=True):
+            across, down = (f"{name} [{unit.name}]" for name in PLANES[one.axis])
+            # Numbers and name of an axis that two views share stand at the outer one.
+            axes.set(xlabel="" if is_orthogonal and one.axis == "z" else across,
+                     ylabel="" if is_orthogonal and one.axis == "x" else down)
+            axes.tick_params(labelbottom=bool(axes.get_xlabel()), labelleft=bool(axes.get_ylabel()))
             _mark_places(axes, one, slices, unit)
     return figure, views
 
@@ -283,10 +279,6 @@ def _make_orthogonal(slices: Slices, titles: Sequence[str], unit: LengthUnit,
             # Beside the edge of the page there may be no room for it.
             axes.set_title(one.describe(unit), loc="right" if one.axis == "x" else "left", fontsize=NAME_POINTS,
                            pad=3.0)
-            # Numbers and name of an axis that two share stand at the outer one.
-            axes.tick_params(labelbottom=one.axis != "z", labelleft=one.axis != "x")
-            across, down = (f"{name} [{unit.name}]" for name in PLANES[one.axis])
-            axes.set(xlabel="" if one.axis == "z" else across, ylabel="" if one.axis == "x" else down)
             drawn.append(axes)
         views.append(Views(drawn, [host]))
     return figure, views

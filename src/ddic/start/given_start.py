@@ -23,7 +23,7 @@ from ddic.mesh.cut_mesh import cut_mesh, find_points_on_own_side
 from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import build_tree
-from ddic.mesh.topology import find_boundary_facets
+from ddic.mesh.topology import find_boundary_facets, find_boundary_nodes
 from ddic.solvers.local_system import LocalOperator
 from ddic.start.coarse_displacement import CutField
 from ddic.start.feature_matches import find_piece_of_nodes, find_pieces
@@ -211,7 +211,9 @@ def _note_pieces(n_pieces: int, what: str) -> tuple[str, ...]:
 
 
 def _measure_distances(mesh: Mesh, points: Array) -> Array:
-    """Distance of points outside a mesh from its boundary, pixels."""
+    """Distance of points outside a mesh from its boundary, or from the nearest node there in space, pixels."""
+    if mesh.dim == 3:
+        return np.asarray(build_tree(mesh.nodes[find_boundary_nodes(mesh)]).query(points)[0])
     ends = mesh.nodes[find_boundary_facets(mesh)[:, :2]]
     n_facets = min(N_FACETS, len(ends))
     near = build_tree(ends.mean(axis=1)).query(points, list(range(1, n_facets + 1)))[1]
