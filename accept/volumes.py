@@ -35,7 +35,7 @@ MOST_ERROR = {0: 0.0015, NOISE: 0.003}
 """RMS error of a component by noise, voxels."""
 
 SHIFTS, MOST_BIAS, SHIFTED_SIZE = (0.25, 0.5, 0.75), 1.5e-3, 128
-"""Of all voxels along all axes; RMS error of a component, voxels; side of these volumes."""
+"""Of all voxels along all axes; mean error of a component, voxels; side of these volumes."""
 
 MOST_FLOORS = 1.5
 """RMS error of a component over the noise floor that the run tells."""
@@ -89,12 +89,13 @@ def measure_bias(scale: Scale) -> list[Row]:
         folder = images("translation", "--size", f"{size}x{size}x{size}", "--vector", *[str(shift)] * 3,
                         folder=scale.folder(f"volume_shift{shift:g}"))
         ddic_run(write_case(folder, (size, MARGIN), ELEMENT), folder, N_RANKS)
-        errors[shift] = error_rms(folder / "result.vtkhdf", folder / "truth.json")
-        append_result("volumes_runs", {"shift": shift, "error_px": errors[shift]})
+        displacement = read_result(folder / "result.vtkhdf").displacement
+        errors[shift] = float(np.abs(displacement.mean(axis=0) - shift).max())
+        append_result("volumes_runs", {"shift": shift, "bias_px": errors[shift]})
     listed = ", ".join(f"{error:.2e} at {shift:g}" for shift, error in errors.items())
     return [Row(f"uniform shifts along x, y and z, analytic speckle, {size}^3, 8 bit, no noise, Hex8 of {ELEMENT} "
-                "voxels, no regularization: RMS error at nodes", f"<= {MOST_BIAS:g} voxels", f"{listed}",
-                max(errors.values()) <= MOST_BIAS)]
+                "voxels, no regularization: mean error of a component over all nodes", f"<= {MOST_BIAS:g} voxels",
+                listed, max(errors.values()) <= MOST_BIAS)]
 
 
 @dataclass(frozen=True)

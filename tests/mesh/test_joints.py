@@ -57,3 +57,35 @@ def test_pixels_of_two_cells_are_told_by_the_edge_alone(seed: int) -> None:
     assert _is_covered_twice(mesh, find_facets(mesh)) == (len(np.unique(pixels, axis=0)) < len(pixels))
     twice = _build([*nodes], [*corners, corners[0]])
     assert _is_covered_twice(twice, find_facets(twice))
+
+
+def join(*meshes: Mesh) -> Mesh:
+    """Meshes beside each other, nodes at one place made one."""
+    nodes = np.concatenate([mesh.nodes for mesh in meshes])
+    places, numbers = np.unique(nodes.round(9), axis=0, return_inverse=True)
+    first = np.cumsum([0, *(mesh.n_nodes for mesh in meshes)])
+    connectivity = np.concatenate([numbers[first[k] + mesh.connectivity] for k, mesh in enumerate(meshes)])
+    sizes = np.concatenate([np.diff(mesh.offsets) for mesh in meshes])
+    return Mesh(places, connectivity, np.concatenate([[0], np.cumsum(sizes)]),
+                np.concatenate([mesh.types for mesh in meshes]))
+
+
+def box_of(low: tuple[float, float, float], high: tuple[float, float, float], n: tuple[int, int, int]) -> Mesh:
+    return GridLines(tuple(np.linspace(*ends, k + 1) for *ends, k in zip(low, high, n, strict=True))).build_mesh()
+
+
+def test_boxes_in_a_volume_that_meet_node_to_node_are_accepted() -> None:
+    check_joints(join(box_of((2, 2, 2), (10, 10, 10), (2, 2, 2)), box_of((10, 2, 2), (18, 10, 10), (2, 2, 2))))
+    check_joints(box_mesh(3, "Tet4"))
+    check_joints(box_mesh(3, "Hex8"))
+
+
+@pytest.mark.parametrize(("other", "words"), [
+    # Twice as fine beside it: nodes in the middle of its faces, and on their edges.
+    (box_of((10, 2, 2), (18, 10, 10), (4, 4, 4)), "16 nodes lie on a side of a cell"),
+    (box_of((10, 2, 2), (18, 10, 10), (2, 4, 2)), "6 nodes lie on a side of a cell"),
+    (box_of((8, 2, 2), (16, 10, 10), (2, 2, 2)), "cells (numbered from 0: 1, 3, 5, ...) lie over others"),
+])
+def test_boxes_in_a_volume_that_do_not_are_refused(other: Mesh, words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(words)):
+        check_joints(join(box_of((2, 2, 2), (10, 10, 10), (2, 2, 2)), other))

@@ -18,17 +18,8 @@ from ddic.io import result_schema as schema
 from ddic.io.input_file import split_dataset
 from ddic.io.result_reader import Result
 from ddic.io.volume_file import hold_source
-from ddic.plots import canvas, maps
+from ddic.plots import canvas, curves, maps
 from ddic.plots.canvas import ColourScale
-from ddic.plots.curves import (
-    draw_corrections,
-    draw_detection,
-    draw_krylov,
-    draw_line,
-    draw_modes,
-    draw_opening,
-    draw_residual_histogram,
-)
 from ddic.plots.kinds import KINDS, NUMBERS, OF_VOLUMES, OVER_IMAGE
 from ddic.plots.partition import draw_partition
 from ddic.plots.slices import Below, Slices
@@ -207,7 +198,7 @@ def _draw_kind(kind: str, drawing: Drawing, shared: SharedScale | None) -> Figur
 
     by_kind: dict[str, Callable[[], Figure]] = {
         "partition": lambda: draw_partition(result, preview, unit),
-        "detection": lambda: draw_detection(result, unit, scale),
+        "detection": lambda: curves.draw_detection(result, unit, scale),
         "independent": lambda: maps.draw_independent(result, component, look.amplification, unit, scale),
         "deformed": lambda: maps.draw_deformed(result, component, look.amplification, unit, scale, view),
         "displacement": lambda: maps.draw_displacement(result, preview, component, unit, scale),
@@ -217,16 +208,16 @@ def _draw_kind(kind: str, drawing: Drawing, shared: SharedScale | None) -> Figur
         "residual": lambda: maps.draw_residual(result, unit=unit, scale=scale, slices=drawing.slices),
         "signed-residual": lambda: maps.draw_residual(result, signed=True, unit=unit, scale=scale,
                                                       slices=drawing.slices),
-        "histogram": lambda: draw_residual_histogram(result),
+        "histogram": lambda: curves.draw_residual_histogram(result),
         "difference": lambda: maps.draw_difference(drawing.compared, component, unit, scale, drawing.slices),
         "krylov": lambda: _draw_krylov(result, drawing.other),
         "opening": lambda: _draw_opening(result, unit),
         "near-far": lambda: maps.draw_near_far(result, component, unit, scale),
-        "line": lambda: draw_line(result, drawing.line, unit),
-        "corrections": lambda: draw_corrections(result.corrections),
+        "line": lambda: curves.draw_line(result, drawing.line, unit),
+        "corrections": lambda: curves.draw_corrections(result.corrections),
     }
     if result.separated is not None:
-        by_kind["modes"] = partial(draw_modes, result.separated)
+        by_kind["modes"] = partial(curves.draw_modes, result.separated)
     return by_kind[kind]()
 
 
@@ -246,16 +237,16 @@ def _draw_krylov(result: Result, other: Result | None) -> Figure:
     """Convergence of one result or two, which files' names tell apart, with their folders where these are the same."""
     results = [one for one in (result, other) if one is not None and _has_curves(one)]
     if len(results) == 1:
-        return draw_krylov({"": results[0].krylov})
+        return curves.draw_krylov({"": results[0].krylov})
     names = [one.path.name for one in results]
-    return draw_krylov({str(one.path) if names.count(name) > 1 else name: one.krylov
-                        for name, one in zip(names, results, strict=True)})
+    return curves.draw_krylov({str(one.path) if names.count(name) > 1 else name: one.krylov
+                               for name, one in zip(names, results, strict=True)})
 
 
 def _draw_opening(result: Result, unit: canvas.LengthUnit) -> Figure:
     """Opening of all lines."""
-    return draw_opening({f"line {number}": of_line for number, of_line in enumerate(measure_openings(result), start=1)},
-                        unit)
+    openings = enumerate(measure_openings(result), start=1)
+    return curves.draw_opening({f"line {number}": of_line for number, of_line in openings}, unit)
 
 
 THUMBNAIL_DPI = 60

@@ -29,17 +29,7 @@ from ddic.mesh.interpolation import locate
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.topology import find_boundary_facets
 from ddic.plots import canvas
-from ddic.plots.canvas import (
-    LARGEST_SIDE,
-    OF_VALUES,
-    PIXELS,
-    Bounds,
-    ColourScale,
-    Component,
-    LengthUnit,
-    Limits,
-    Preview,
-)
+from ddic.plots.canvas import OF_VALUES, PIXELS, Bounds, ColourScale, Component, LengthUnit, Limits, Preview
 from ddic.plots.slices import Below, Slices, choose_slices, make_views
 
 
@@ -128,7 +118,7 @@ def read_below(mesh: Mesh, source: ImageSource | None, asked: Sequence[tuple[str
 
 def read_preview(source: ImageSource) -> Preview:
     """Read an image row by row and keep at most 2000 pixels a side, thinned out evenly."""
-    step = -(-max(source.width, source.height) // LARGEST_SIDE)
+    step = -(-max(source.width, source.height) // canvas.LARGEST_SIDE)
     if step == 1:
         pixels = source.read(source.extent)
     else:
@@ -575,7 +565,7 @@ def _measure_std(image: NDArray[Any]) -> float:
 def _thin(image: NDArray[np.float32]) -> Preview:
     """What a figure can show of an image."""
     height, width = image.shape
-    step = -(-max(height, width) // LARGEST_SIDE)
+    step = -(-max(height, width) // canvas.LARGEST_SIDE)
     return Preview(image[::step, ::step], step, width, height)
 
 

@@ -211,7 +211,7 @@ class _Volumes:
     def seek(self, place: Array) -> Ball | None:
         """Match the ball about a place from where it is most like one of the deformed volume, in any rotation."""
         best, motion = 0.0, np.zeros((3, 4))
-        for rotation in _list_rotations():
+        for rotation in list_rotations():
             # What is at an offset after the rotation was there before it.
             before = place + self.offsets @ rotation
             counted = _look_up(self.active, before)
@@ -241,7 +241,7 @@ class _Volumes:
         of_ball = np.conj(scipy.fft.rfftn(self._paint(np.ones(len(self.offsets))), self._shape))
         sums, squares = (self._invert(scipy.fft.rfftn(values, self._shape) * of_ball) for values in (g, g**2))
         variance = squares - sums**2 / len(self.offsets)
-        return np.sqrt(np.maximum(variance, FLAT * variance.max()))
+        return np.asarray(np.sqrt(np.maximum(variance, max(FLAT * float(variance.max()), TINY))))
 
     def _paint(self, values: Array) -> Image:
         """A ball about the first block of a periodic volume."""
@@ -257,6 +257,9 @@ class _Volumes:
 FLAT = 1e-3
 """Variance in a ball, of the largest in any, up to which the deformed volume is flat there."""
 
+TINY = 1e-30
+"""A sum of squares below any that is not 0."""
+
 
 def _sample(values: Image, places: Array) -> Array:
     """Grey levels at places, (n, 3), between blocks."""
@@ -271,7 +274,7 @@ def _look_up(mask: BoolArray, places: Array) -> BoolArray:
 
 
 @cache
-def _list_rotations() -> Array:
+def list_rotations() -> Array:
     """Rotations about any axis, at most by LARGEST_ANGLE, evenly spread, (n, 3, 3)."""
     from scipy.spatial.transform import Rotation
 

@@ -277,7 +277,9 @@ def find_multilevel_start(pyramid: Pyramid, stages: StartSection) -> MultilevelS
     rigid_start = pyramid.find_rigid() if stages.rigid else at_rest
     matched, warnings = None, rigid_start.warnings
     starts: tuple[CoarseField, ...] = rigid_start.fields
-    if stages.features and rigid_start.coefficient < SURE:
+    # Volumes are smoothed before, so that small regions look alike farther off than their mesh follows.
+    is_sure = rigid_start.coefficient >= SURE and (pyramid.mesh.dim == 2 or bool(pyramid.sizes))
+    if stages.features and not is_sure:
         followed = pyramid.choose_levels_after(starts[0]) if sizes and rigid_start.translations else []
         finer = None if followed else _search_surroundings(pyramid, rigid_start, stages)
         if finer is not None:
