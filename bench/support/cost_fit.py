@@ -9,7 +9,15 @@ import numpy as np
 from scipy.optimize import nnls
 
 from bench.support.tiled_texture import CELL
-from ddic.solvers.step_costs import LARGEST_ARRAYS, CostConstants, Factor, Growth, find_shared_boundary
+from ddic.solvers.step_costs import (
+    LARGEST_ARRAYS,
+    CostConstants,
+    Factor,
+    Growth,
+    count_entries,
+    count_operations,
+    find_shared_boundary,
+)
 
 Record = dict[str, Any]
 OF_RUN = ("n", "cut_off_wavelength", "n_ranks", "per_subdomain")
@@ -19,7 +27,7 @@ Measure = Callable[[Record], float]
 NEEDED = [(solver, ranks, is_regularized) for is_regularized in (False, True)
           for solver, ranks in (("cholmod", (1,)), ("assembled", (1,)), ("assembled", (2,)),
                                 ("conjugate_gradient", (1, 2)), ("scaled", (1, 2)))]
-NEEDED.append(("two_level", (1, 2), True))
+NEEDED += [("two_level", (1, 2), True), ("matching", (1, 2), True)]
 """Solver, numbers of ranks of which one will do, and whether with regularization."""
 
 
@@ -29,8 +37,8 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
     Parameters
     ----------
     records : sequence of dict
-        Of ``bench.interface_solvers``: every solver that is named below, without and with regularization, several
-        sizes, one and two ranks.
+        Of ``bench.interface_solvers``, all of squares or all of cubes: every solver that is named below, without and
+        with regularization, several sizes, one and two ranks.
 
     Returns
     -------
@@ -39,17 +47,18 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
     """
     solved = [r for r in records if r["outcome"] == "solved"]
     assembled, cg = _of(solved, "assembled"), _of(solved, "conjugate_gradient")
-    scaled, two_level = _of(solved, "scaled"), _of(solved, "two_level")
+    scaled, two_level, matching = (_of(solved, name) for name in ("scaled", "two_level", "matching"))
     alone = [r for r in assembled if r["n_ranks"] == 1]
     whole = _of(solved, "cholmod")
     local_costs = _fit_local(whole, [*scaled, *two_level])
-    local_solve = _median(r["solve_cpu"] / _logarithmic(r["n_dofs"]) for r in whole)
+    local_solve = _median(r["solve_cpu"] / (r["n_dofs"] * _entries(r)) for r in whole)
     products = [_fit_product(cg, is_regularized=kind) for kind in (False, True)]
+    system_memory, _ = _fit_pair([(r["n_dofs"] / r["n_ranks"], 1.0) for r in cg],
+                                 [max(r["peak_memory_bytes"]) for r in cg])
     return CostConstants(
-        system_memory=_fit_pair([(r["n_dofs"] / r["n_ranks"], 1.0) for r in cg],
-                                [max(r["peak_memory_bytes"]) for r in cg])[0],
+        system_memory=system_memory,
         whole=_by_kind(alone, lambda r: r["setup_cpu"], _memory),
-        whole_solve=_median(r["solve_cpu"] / _logarithmic(r["n_dofs"]) for r in alone),
+        whole_solve=_median(r["solve_cpu"] / (r["n_dofs"] * _entries(r)) for r in alone),
         parallel_factor=_by_parallel(assembled),
         parallel_memory=_parallel_power(_regularized(assembled), _memory),
         local=local_costs,
@@ -65,6 +74,11 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
         cg_product_calls=(products[1][1], products[1][2]),
         cg_iterations=_median(r["inexact_iterations"] for r in cg if not r["cut_off_wavelength"]),
         cg_iterations_by_square=_median(r["inexact_iterations"] / _cells(r)**2 for r in _regularized(cg)),
+        matching_set_up=_median(r["setup_cpu"] * r["n_ranks"] / r["n_dofs"] for r in matching),
+        matching_product=_median(r["inexact_cpu"] / max(r["inexact_iterations"], 1) * r["n_ranks"] / r["n_dofs"]
+                                 for r in matching),
+        matching_iterations=_median(r["inexact_iterations"] for r in matching),
+        matching_memory=_median(_memory(r) * r["n_ranks"] / r["n_dofs"] for r in matching),
     )
 
 
@@ -106,20 +120,31 @@ def _cells(record: Record) -> float:
 
 def _waves(record: Record) -> float:
     """Cut-off wavelength over the side of a subdomain, as far as it matters."""
-    root = np.sqrt(record["n_subdomains"])
-    return float(min(_cells(record) * root / record["n"], root))
+    along = record["n_subdomains"] ** (1 / _dim(record))
+    return float(min(_cells(record) * along / record["n"], along))
+
+
+def _dim(record: Record) -> int:
+    """Of the mesh; runs were of squares alone before they said it."""
+    return int(record.get("dim", 2))
 
 
 def _own(record: Record) -> tuple[float, float]:
     """Unknowns of a subdomain, or of the whole for a method of the whole; and those of a rank's subdomains together."""
-    if record["solver"] == "cholmod":
+    if record["solver"] in ("cholmod", "assembled"):
         return record["n_dofs"], record["n_dofs"]
     n = record["n_dofs"] / record["n_subdomains"]
     return n, n * -(-record["n_subdomains"] // record["n_ranks"])
 
 
-def _logarithmic(n: float) -> float:
-    return float(n * np.log2(n))
+def _operations(record: Record) -> float:
+    """Of a factor of a subdomain, or of the whole for a method of the whole, an unknown."""
+    return count_operations(_own(record)[0], _dim(record))
+
+
+def _entries(record: Record) -> float:
+    """The same of its entries."""
+    return count_entries(_own(record)[0], _dim(record))
 
 
 def _memory(record: Record) -> float:
@@ -158,26 +183,26 @@ def _fit_local(whole: Sequence[Record], dual: Sequence[Record]) -> tuple[Factor,
 def _fit_interface(scaled: Sequence[Record], local: tuple[Factor, Factor], *,
                    has_arrays: bool) -> tuple[Factor, Factor]:
     """Cost of S_s and its inverse; as arrays those of a subdomain whose whole boundary is shared."""
-    chosen = [r for r in scaled if (_own(r)[0] <= LARGEST_ARRAYS) == has_arrays]
+    chosen = [r for r in scaled if (_own(r)[0] <= LARGEST_ARRAYS[_dim(r)]) == has_arrays]
 
     def shared(record: Record) -> float:
-        return find_shared_boundary(record["n_subdomains"]) if has_arrays else 1.0
+        return find_shared_boundary(record["n_subdomains"], _dim(record)) if has_arrays else 1.0
 
     return _by_kind(chosen, lambda r: r["interface_cpu"] / shared(r),
                     lambda r: (_memory(r) - _factor_memory(r, local)) / shared(r))
 
 
 def _factor_memory(record: Record, local: tuple[Factor, Factor]) -> float:
-    n, total = _own(record)
-    return total * local[record["cut_off_wavelength"] > 0].memory.evaluate_by_log(n)
+    _, total = _own(record)
+    return total * local[record["cut_off_wavelength"] > 0].memory.evaluate(_entries(record))
 
 
 def _fit_factor(records: Sequence[Record], seconds: Measure, memory: Measure) -> Factor:
-    sizes = [_own(r) for r in records]
-    roots = [(total, total * np.sqrt(n)) for n, total in sizes]
-    logarithms = [(total, total * np.log2(n)) for n, total in sizes]
-    return Factor(Growth(*_fit_pair(roots, [seconds(r) for r in records])),
-                  Growth(*_fit_pair(logarithms, [memory(r) for r in records], [_memory(r) for r in records])))
+    totals = [_own(r)[1] for r in records]
+    operations = [(total, total * _operations(r)) for total, r in zip(totals, records, strict=True)]
+    entries = [(total, total * _entries(r)) for total, r in zip(totals, records, strict=True)]
+    return Factor(Growth(*_fit_pair(operations, [seconds(r) for r in records])),
+                  Growth(*_fit_pair(entries, [memory(r) for r in records], [_memory(r) for r in records])))
 
 
 def _by_kind(records: Sequence[Record], seconds: Measure, memory: Measure) -> tuple[Factor, Factor]:
@@ -214,8 +239,8 @@ def _fit_coarse(scaled: Sequence[Record], two_level: Sequence[Record]) -> Growth
     for r in two_level:
         same = [one["interface_cpu"] for one in scaled if all(one[key] == r[key] for key in OF_RUN)]
         if same:
-            n, total = _own(r)
-            rows.append((total, total * np.sqrt(n)))
+            _, total = _own(r)
+            rows.append((total, total * _operations(r)))
             values.append(max(r["interface_cpu"] - _median(same), 1e-3))
     return Growth(*_fit_pair(rows, values))
 
@@ -224,8 +249,7 @@ def _fit_dual_product(records: Sequence[Record], local_solve: float) -> float:
     """Solves with A_s that an iteration is worth."""
     found = []
     for r in records:
-        n, total = _own(r)
-        solve = local_solve * total * np.log2(n)
+        solve = local_solve * _own(r)[1] * _entries(r)
         found.append((r["inexact_cpu"] / solve - 1) / max(r["inexact_iterations"], 1))
     return _median(found)
 

@@ -1,6 +1,6 @@
 """One solver of bench/interface_solvers.py in processes of its own: prints a JSON line from rank 0.
 
-Argument: JSON with "solver", "n", "wavelength" (px), "per_subdomain" (elements a side; 0: one a rank),
+Argument: JSON with "solver", "n", "dim", "wavelength" (px), "per_subdomain" (elements a side; 0: one a rank),
 "reference" (file).
 Times are of set-up (everything after M and K, forming the operators included), of one solve, and, of ddic's own
 methods, of another one that leaves as much error as a step of Gauss-Newton may ("inexact"): CPU and wall seconds of the
@@ -26,6 +26,7 @@ from bench.support.coarse_record import record_coarse
 from bench.support.step_problem import factorize
 from bench.support.tiled_texture import TiledProblem
 from ddic.kinematics.nodal import NodalRegion
+from ddic.mesh.grid import GridLines
 from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
@@ -38,6 +39,7 @@ from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.gauss_newton import SHARE
 from ddic.solvers.linear_step import AllowedError, LinearStep
 from ddic.solvers.local_system import LocalOperator, LocalSystem
+from ddic.solvers.matching import MatchingPreconditioner
 from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 
 DUAL: tuple[Preconditioner, ...] = ("paper", "scaled", "two_level")
@@ -86,7 +88,7 @@ class Laps:
 def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | None, laps: Laps,
            ) -> tuple[dict[str, Any], Values]:
     """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
-    count = max(round((problem.n / per_subdomain) ** 2), 2) if per_subdomain else team.size
+    count = max(round((problem.n / per_subdomain) ** problem.dim), 2) if per_subdomain else team.size
 
     def split() -> tuple[list[Any], NDArray[np.float64]]:
         mesh = problem.rows_of_cells(0, problem.n)
@@ -139,7 +141,7 @@ def make_step(team: Team, solver: str, assembly: Assembly, operators: list[Local
     team : Team
         Ranks.
     solver : str
-        One of DUAL, "assembled", "low_rank" or "conjugate_gradient".
+        One of DUAL, "assembled", "low_rank", "conjugate_gradient" or "matching".
     assembly : Assembly
         The systems.
     operators : list of LocalOperator
@@ -155,8 +157,9 @@ def make_step(team: Team, solver: str, assembly: Assembly, operators: list[Local
             PETSc.Options().setValue(key, value)
     if solver in ("assembled", "low_rank"):
         return AssembledStep(team, assembly.systems, assembly.smallest_eigenvalue)
-    if solver == "conjugate_gradient":
-        return ConjugateGradientStep(team, assembly.systems, DualSettings.tolerance, MOST_KRYLOV)
+    if solver in ("conjugate_gradient", "matching"):
+        return ConjugateGradientStep(team, assembly.systems, DualSettings.tolerance, MOST_KRYLOV,
+                                     MatchingPreconditioner if solver == "matching" else None)
     preconditioner = next(kind for kind in DUAL if kind == solver)
     settings = DualSettings(preconditioner, max_iterations=MOST_KRYLOV, recycle=False)
     return DualStep(team, assembly.systems, operators, assembly.reaction_scale, settings)
@@ -175,7 +178,7 @@ def of_petsc(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tupl
         rows, b = problem.operator_rows(first, last)
         csr = (rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data)
         local = rows.shape[0]
-        matrix = PETSc.Mat().createAIJ(((local, problem.n_dofs), (local, problem.n_dofs)), bsize=2, csr=csr,
+        matrix = PETSc.Mat().createAIJ(((local, problem.n_dofs), (local, problem.n_dofs)), bsize=problem.dim, csr=csr,
                                        comm=team.comm)
         matrix.setOption(PETSc.Mat.Option.SPD, True)
         if solver in ("gamg", "hpddm"):
@@ -205,9 +208,9 @@ def of_petsc(team: Team, problem: TiledProblem, solver: str, laps: Laps) -> tupl
 def set_rigid_modes(problem: TiledProblem, matrix: PETSc.Mat, first: int, last: int) -> None:
     """Rigid modes as near-null space: K, hence all but M of A, does not feel them."""
     line = np.arange(problem.n + 1.0)
-    x, y = np.meshgrid(line, np.arange(first, last, dtype=float))
     coordinates = matrix.createVecRight()
-    coordinates.setArray(np.column_stack([x.ravel(), y.ravel()]).ravel() / problem.n)
+    nodes = GridLines((*[line] * (problem.dim - 1), line[first:last])).nodes
+    coordinates.setArray(nodes.ravel() / problem.n)
     modes = PETSc.NullSpace().createRigidBody(coordinates)
     matrix.setNearNullSpace(modes)
     modes.destroy()
@@ -239,7 +242,7 @@ def compared(team: Team, problem: TiledProblem, field: Values, reference: Path, 
 def main(argument: str) -> None:
     task = json.loads(argument)
     team = Team(MPI.COMM_WORLD)
-    problem = TiledProblem(task["n"], task["wavelength"])
+    problem = TiledProblem(task["n"], task["wavelength"], task["dim"])
     laps = Laps(team)
     coarse: dict[str, float] = {}
     record_coarse(coarse.update)

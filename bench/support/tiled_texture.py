@@ -1,4 +1,4 @@
-"""Large problems without images on squares and cubes: a texture of random slopes, one tile of cells repeated over the mesh.
+"""Large problems without images on squares and cubes: a texture of random slopes, one tile of cells repeated over all.
 
 The operator is all that counts here; a tile makes M cheap for millions of cells. Nodes and cells are
 numbered row by row, so that a strip of rows, or a slab, is a contiguous range of unknowns.
@@ -48,12 +48,12 @@ class TiledProblem:
     @property
     def n_dofs(self) -> int:
         """Unknowns of the whole mesh."""
-        return self.dim * (self.n + 1) ** self.dim
+        return int(self.dim * (self.n + 1) ** self.dim)
 
     @property
     def n_cells(self) -> int:
         """Cells of the whole mesh."""
-        return self.n**self.dim
+        return int(self.n**self.dim)
 
     @property
     def _side(self) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import closing
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from ddic.partition.subdomain import Weighting
 from ddic.solvers.dual.dual_step import DualSettings
 from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import LinearStep
+from ddic.solvers.matching import MatchingPreconditioner
 from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 from support.linear import Decomposed, Kind, linear_step, one_domain_solution, split
 from support.textureless import without_texture
@@ -31,6 +31,8 @@ def _make_steps(cut: Decomposed) -> Iterator[tuple[str, Callable[[], LinearStep]
         yield preconditioner, lambda settings=settings: cut.step(settings)
     yield "assembled", lambda: AssembledStep(cut.team, cut.systems, 0.0)
     yield "conjugate_gradient", lambda: ConjugateGradientStep(cut.team, cut.systems, TIGHT, 3000)
+    if cut.systems[0].stiffness is not None:
+        yield "matching", lambda: ConjugateGradientStep(cut.team, cut.systems, TIGHT, 3000, MatchingPreconditioner)
 
 
 @pytest.mark.parallel(RANKS)

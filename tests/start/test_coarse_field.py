@@ -34,7 +34,7 @@ class _Unread:
     """An image that must not be read."""
 
     path: Path = Path("unread")
-    extent: Window = Window((0, 0), (192, 192))
+    extent: Window = field(default_factory=lambda: Window((0, 0), (192, 192)))
     saturation: float | None = None
 
     def read(self, window: Window) -> NoReturn:

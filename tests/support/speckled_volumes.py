@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from ddic.start.binned_pair import BinnedPair
-from ddic.start.coarse_displacement import CoarseField, evaluate_at_nodes
 from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
+from ddic.start.binned_pair import BinnedPair
+from ddic.start.coarse_displacement import CoarseField, evaluate_at_nodes
 from ddic.synth.fields import Affine, DisplacementField
 from ddic.synth.render import Picture, Scene, render_pair
 from ddic.synth.speckle import SpeckleTexture

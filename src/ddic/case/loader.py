@@ -406,7 +406,8 @@ def list_unused_keys(case: Case) -> list[str]:
     rules: list[tuple[str, tuple[str, ...], str, bool]] = [
         ("solver", ("frames",), 'solver.method = "auto"', method != "auto"),
         ("solver", OF_DUAL, 'solver.method = "dual"', is_never_dual),
-        ("solver", OF_KRYLOV, 'solver.method = "dual" or "conjugate_gradient"', method in ("assembled", "monolithic")),
+        ("solver", OF_KRYLOV, 'solver.method = "dual", "conjugate_gradient" or "matching"',
+         method in ("assembled", "monolithic")),
         ("solver", OF_PARTITION, "a method of several subdomains", method == "monolithic"),
         ("start", OF_SEARCH, "a start without start.from_result, which replaces it", not searches),
         ("start", ("features",), "start.rigid = true, after which they are sought",

@@ -583,12 +583,13 @@ class RegularizationSection(Section):
 class SolverSection(Section):
     """The linear step of Gauss-Newton."""
 
-    method: Literal["auto", "dual", "assembled", "conjugate_gradient", "monolithic"] = "auto"
+    method: Literal["auto", "dual", "assembled", "conjugate_gradient", "matching", "monolithic"] = "auto"
     """`"dual"`: dual domain decomposition; `"assembled"`: the operator of the whole mesh, spread over ranks and
-    factorised together (MUMPS); `"conjugate_gradient"`: conjugate gradients on it, without a factor; `"monolithic"`:
-    the whole problem on one rank (CHOLMOD). All give the same field. `"auto"` takes the one that is predicted to be
-    fastest among those that fit into memory ([solver.md](solver.md#which-method)), and the log says why; `weighting`,
-    `preconditioner`, `recycle` or `local_inverse` beside it mean `"dual"`."""
+    factorised together (MUMPS); `"conjugate_gradient"`: conjugate gradients on it, without a factor; `"matching"`: the
+    same with a preconditioner for long cut-off wavelengths and millions of unknowns; `"monolithic"`: the whole problem
+    on one rank (CHOLMOD). All give the same field. `"auto"` takes the one that is predicted to be fastest among those
+    that fit into memory ([solver.md](solver.md#which-method)), and the log says why; `weighting`, `preconditioner`,
+    `recycle` or `local_inverse` beside it mean `"dual"`."""
 
     frames: Annotated[Count | None, note(default="1; 10 in `ddic.prepare`")] = None
     """For `method = "auto"`: how many deformed images are measured from one reference image, which share its factors.
@@ -902,6 +903,9 @@ class Case(Section):
         if self.near and self.solver.method == "monolithic":
             yield ('solver.method = "monolithic" knows one camera; with [[near]] use "assembled", which '
                    "factorises the same system")
+        if self.solver.method == "matching" and (self.regularization is None or self.near or self.discontinuity):
+            yield ('solver.method = "matching" goes with [regularization], without [[near]] and [[discontinuity]]; use '
+                   '"conjugate_gradient"')
         if self.near and self.solver.subdomains is not None and self.solver.subdomains <= len(self.near):
             yield (f"solver.subdomains = {self.solver.subdomains}: the far field and every near field need "
                    f"a subdomain each; ask for at least {len(self.near) + 1}")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from math import ceil
+from math import ceil, prod
 
 from ddic.case.schema import SolverSection
 from ddic.inputs.inputs import Inputs, SolverChoice
@@ -23,8 +23,8 @@ OF_MEMORY = 0.8
 PIXEL_BYTES = 24
 """Memory of a pixel: f, its gradient and g's coefficients, and windows that reach beyond the mesh."""
 
-SIDES = (20, 40, 80)
-"""Cells along a side of a subdomain among which the dual method chooses, beside one subdomain a rank."""
+SIDES = {2: (20, 40, 80), 3: (6, 8, 10)}
+"""Cells along a side of a subdomain, by dimension, among which the dual method chooses, beside one subdomain a rank."""
 
 FEWEST_FOR_TWO_LEVELS = 8
 """Subdomains from which on a coarse space is a candidate."""
@@ -76,7 +76,7 @@ def _describe_task(inputs: Inputs, sizes: RegionSizes, n_ranks: int) -> StepTask
     n_steps = STEPS_OF_FRAME * n_frames
     is_started = inputs.case.start.independent and len(inputs.cameras) == 1
     n_started = int(sizes.work) * n_frames if is_started else 0
-    return StepTask(sizes.n_unknowns, sizes.n_cells, wavelength, n_ranks, n_steps, n_started)
+    return StepTask(sizes.n_unknowns, sizes.n_cells, wavelength, n_ranks, n_steps, n_started, inputs.case.dim)
 
 
 def _list_candidates(inputs: Inputs, sizes: RegionSizes, task: StepTask) -> Iterator[StepCandidate]:
@@ -95,12 +95,14 @@ def _list_candidates(inputs: Inputs, sizes: RegionSizes, task: StepTask) -> Iter
         yield StepCandidate("monolithic", 1)
     if _are_iterations_predictable(inputs, sizes):
         yield StepCandidate("conjugate_gradient", fewest)
+        if task.is_regularized:
+            yield StepCandidate("matching", fewest)
 
 
 def _list_dual(solver: SolverSection, task: StepTask, fewest: int, *, may_be_more: bool) -> Iterator[StepCandidate]:
     counts = {fewest} if fewest > 1 or _is_dual_wanted(solver) else set()
     if may_be_more:
-        wanted = (ceil(task.n_cells / side**2 / task.n_ranks) * task.n_ranks for side in SIDES)
+        wanted = (ceil(task.n_cells / side**task.dim / task.n_ranks) * task.n_ranks for side in SIDES[task.dim])
         counts |= {count for count in wanted if count > fewest}
     for count in sorted(counts):
         if solver.preconditioner != "auto":
@@ -114,7 +116,7 @@ def _list_dual(solver: SolverSection, task: StepTask, fewest: int, *, may_be_mor
 def count_given_subdomains(solver: SolverSection, n_cells: int) -> int | None:
     """Count the subdomains that a case gives for a mesh without cut cells; None where it gives no number."""
     if solver.blocks is not None:
-        return solver.blocks[0] * solver.blocks[1]
+        return prod(solver.blocks)
     if solver.partition_file is not None:
         return int(read_partition(solver.partition_file, n_cells).max()) + 1
     return solver.subdomains

@@ -16,6 +16,7 @@ from ddic.solvers.dual.dual_step import DualSettings, DualStep
 from ddic.solvers.dual.preconditioner import Preconditioner
 from ddic.solvers.linear_step import GuardedStep, LinearStep
 from ddic.solvers.local_system import LocalOperator, LocalSystem, MonolithicStep
+from ddic.solvers.matching import MatchingPreconditioner
 from ddic.solvers.petsc import LOCAL_FACTORS
 from ddic.solvers.whole_system import AssembledStep, ConjugateGradientStep
 
@@ -144,7 +145,8 @@ class LinearSolver:
             operators = [self._operators[place] for place in range(len(systems))]
             return DualStep(self._team, systems, operators, self.assembly.reaction_scale, settings, self._clock)
         most_iterations = self._most_iterations or solver.max_iterations
-        step = ConjugateGradientStep(self._team, systems, solver.tolerance, most_iterations)
+        step = ConjugateGradientStep(self._team, systems, solver.tolerance, most_iterations,
+                                     MatchingPreconditioner if self.method == "matching" else None)
         return step if self._most_iterations is None else GuardedStep(step, self._factorize_instead)
 
     def _factorize_instead(self, _: ConvergenceError) -> LinearStep:

@@ -169,7 +169,7 @@ class ParallelEntries:
         local.sort_indices()
         return local
 
-    def create_matrix(self) -> PETSc.Mat:
+    def create_matrix(self, block_size: int = 1) -> PETSc.Mat:
         """Create the matrix over all ranks, the caller's to destroy; collective. Too large, FactorizationError."""
         local = self.sum_owned_rows()
         rank = self._team.rank
@@ -178,7 +178,7 @@ class ParallelEntries:
         check_petsc_size(max(row_sizes[1], self._n_columns), "rows of a matrix")
         csr = (to_petsc_integers(local.indptr, "entries of a rank's rows"),
                to_petsc_integers(local.indices, "columns of a matrix"), local.data)
-        return PETSc.Mat().createAIJ((row_sizes, column_sizes), csr=csr, comm=self._team.comm)
+        return PETSc.Mat().createAIJ((row_sizes, column_sizes), bsize=block_size, csr=csr, comm=self._team.comm)
 
     def _add_up(self, blocks: Sequence[_SomeRows]) -> _SomeRows:
         """The rows that blocks add up to, sorted."""

@@ -1,71 +1,202 @@
 """A preconditioner for A = M + eta Kbar^T Kbar whose iterations hardly grow with the cut-off wavelength.
 
 It matches A by the square of an operator of second order, as Pearson & Wathen (2012) do in optimal control:
-|sqrt(eta) K x|^2 + |D x|^2 and |sqrt(eta) K x + D x|^2 differ by a factor of two at most where D^2 is M, here its lumped
-blocks of nodes. On controlled unknowns B = sqrt(eta) K + D is inverted by multigrid. What is left are the others, c for
-controlled and b for those at loaded edges: with E x_b = -B^-1 sqrt(eta) K_cb x_b, which decays inwards over the cut-off
-wavelength, the energy is
+|sqrt(eta) K x|^2 + |D x|^2 and |sqrt(eta) K x + D x|^2 differ by a factor of two at most where D^2 is M, here its
+lumped blocks of nodes. On controlled unknowns B = sqrt(eta) K + D is inverted by multigrid, nearly. What is left are
+the others, c for controlled and b for those at loaded edges: with x_c = E x_b = -B^-1 sqrt(eta) K_cb x_b, which decays
+inwards over the cut-off wavelength, the energy is
 
-    |w|^2 + x_b^T S x_b,   S = M_bb + 2 (D E)^T D E,   B x_c + sqrt(eta) K_cb x_b = w.
+    |w|^2 + x_b^T S x_b,   S = M_bb + 2 (D E)^T D E,   w = B x_c + sqrt(eta) K_cb x_b.
 
-S is a function of the surface's mass: with N = D_b^-1 M_bb D_b^-1, D_b^2 what M_bb lumps to, whose eigenvalue 1 belongs to
-smooth fields and 0 to rough ones, (D E)^T D E is near D_b DECAY / (1 - N + DECAY / t) D_b, t that of a translation.
+S is a function of the surface's mass: with N = D_b^-1 M_bb D_b^-1, D_b^2 what M_bb lumps to, whose eigenvalue 1 belongs
+to smooth fields and 0 to rough ones, (D E)^T D E is near D_b ROUGH / (1 - N + ROUGH / t) D_b, t that of a translation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial
+from numpy.polynomial import chebyshev, polynomial
 from petsc4py import PETSc
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray
-from ddic.errors import InputError, as_collective
-from ddic.functionals.regularization import scale_rows
-from ddic.kinematics.nodal import NodalKinematics
 from ddic.parallel.team import Team
 from ddic.solvers.exchange import ParallelEntries
-from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.multigrid import Multigrid
-from ddic.solvers.petsc import PetscOwner, PetscStack
+from ddic.solvers.petsc import MATCHING, PetscOwner, PetscStack, create_ksp
 from ddic.solvers.whole_system import WholeSystem
 
-DECAY = 0.1
+ROUGH = 0.1
 """(D E)^T D E of fields that are rough along the surface. Half and twice as much change the iterations by a tenth."""
 
 DEGREE = 5
-"""Of the polynomial of N whose square is S^-1. A larger one is nearer, for a product with the surface's rows each."""
+"""Of the polynomial of N whose square is S^-1. A larger one is nearer, for a product with the surface's mass each."""
 
 LEAST = 1e-3
 """Eigenvalue of a node's block, relative to the mean of all, up to which it is raised: without texture D would be
 singular."""
 
-BEFORE, AFTER = 2, 4
-"""Steps of smoothing before and after coarse corrections: few leave more of x_b's forces on the rows near the surface,
-which are large beside w. More cost products with B."""
-
 
 class MatchingPreconditioner(PetscOwner):
     """Context of PETSc's shell preconditioner, symmetric and positive definite.
 
-    Making it raises InputError on all ranks, where unknowns are no displacements of nodes.
+    PETSc options (prefix ``matching_``) of B^-1: ``-matching_ksp_max_it``, ``-matching_pc_gamg_threshold``...
 
     Parameters
     ----------
     team, whole : Team, WholeSystem
-        All ranks, which make it together; A, regularized.
+        All ranks, which make it together; A, regularized, of unknowns that all displace nodes.
     """
 
     def __init__(self, team: Team, whole: WholeSystem) -> None:
-        _require_nodes(team, whole.systems)
-        controlled = _find_controlled(whole)
+        self._team, self._whole = team, whole
+        subdomains = [system.subdomain for system in whole.systems]
+        self._dim = subdomains[0].mesh.dim
         with PetscStack() as stack:
-            create = whole.exchange.create_vector
-            self._controlled, self._others, self._right, self._inside, self._surface, self._scratch = (
-                stack.keep(create()) for _ in range(6))
-            whole.exchange.set_owned(self._controlled, controlled)
-            whole.exchange.set_owned(self._others, 1.0 - controlled)
-            ...
+            self._given, self._result = (stack.keep(whole.exchange.create_vector()) for _ in range(2))
+            self._controlled = self._add_up(s.controlled / s.multiplicity for s in subdomains) > 0.5
+            self._coupling = stack.keep(self._cut_stiffness(columns_controlled=False).create_matrix())
+            root = self._find_root(self._controlled)
+            self._inverse = stack.keep(create_ksp(team.comm, MATCHING))
+            self._set_up_inverse(stack.keep(self._assemble_operator(root)))
+            surface_root = self._find_root(~self._controlled)
+            self._surface_scale = np.linalg.inv(surface_root)
+            self._surface_mass = stack.keep(self._assemble_surface_mass())
+            self._coefficients = find_polynomial(self._measure_extension(root, surface_root))
             self._objects = stack.pop_all()
+
+    def apply(self, _: PETSc.PC, right: PETSc.Vec, solution: PETSc.Vec) -> None:
+        """Set the solution to the displacement of least energy under these forces: PETSc's callback."""
+        forces = np.array(right.getArray(readonly=1))
+        w = self._solve_inside(np.where(self._controlled, forces, 0.0))
+        self._given.setArray(w)
+        self._coupling.multTranspose(self._given, self._result)
+        surface = self._solve_surface(np.where(self._controlled, 0.0, forces - self._result.getArray()))
+        solution.setArray(self._solve_inside(w - self._multiply(self._coupling, surface)) + surface)
+
+    def _solve_inside(self, forces: Array) -> Array:
+        """B^-1 times forces on controlled unknowns, nearly; the others' are 0 and stay so."""
+        self._given.setArray(forces)
+        self._inverse.solve(self._given, self._result)
+        return np.array(self._result.getArray())
+
+    def _solve_surface(self, forces: Array) -> Array:
+        """S^-1 times forces on the other unknowns, nearly."""
+        values = multiply_blocks(self._surface_scale, forces)
+        for _ in range(2):
+            values = self._evaluate_polynomial(values)
+        return multiply_blocks(self._surface_scale, values)
+
+    def _evaluate_polynomial(self, values: Array) -> Array:
+        """The polynomial of N times values."""
+        highest, *others = self._coefficients[::-1]
+        result: Array = highest * values
+        for coefficient in others:
+            of_mass = self._multiply(self._surface_mass, multiply_blocks(self._surface_scale, result))
+            result = multiply_blocks(self._surface_scale, of_mass) + coefficient * values
+        return result
+
+    def _multiply(self, matrix: PETSc.Mat, values: Array) -> Array:
+        self._given.setArray(values)
+        matrix.mult(self._given, self._result)
+        return np.array(self._result.getArray())
+
+    def _add_up(self, parts: Iterable[Array]) -> Array:
+        """Add up values of each subdomain, (n_unknowns,), on the unknowns that this rank owns, (n_owned,)."""
+        self._whole.exchange.add_to_owners(self._whole.add_up(list(parts)), self._given)
+        return np.array(self._given.getArray())
+
+    def _find_root(self, chosen: BoolArray) -> Array:
+        """Square root of the blocks that chosen rows and columns of M lump to, (n_owned_nodes, dim, dim)."""
+        columns = []
+        for component in np.eye(self._dim):
+            self._given.setArray(np.where(chosen, np.tile(component, len(chosen) // self._dim), 0.0))
+            ones = self._whole.restrict(self._whole.exchange.fetch_ghosts(self._given))
+            sums = self._add_up(s.hessian @ x for s, x in zip(self._whole.systems, ones, strict=True))
+            columns.append(np.where(chosen, sums, 0.0).reshape(-1, self._dim))
+        blocks = np.stack(columns, axis=2)
+        total, n_chosen = self._team.ordered_sum([np.array([np.trace(blocks, axis1=1, axis2=2).sum(), chosen.sum()])])
+        return find_roots(blocks, LEAST * total / max(n_chosen, 1.0))
+
+    def _cut_stiffness(self, *, columns_controlled: bool) -> ParallelEntries:
+        """sqrt(eta) K of controlled rows, and columns that are, or that are not."""
+        entries = ParallelEntries(self._team, self._whole.n_owned, self._whole.n_owned)
+        for system, rows, numbers in zip(self._whole.systems, self._whole.rows, self._whole.numbers, strict=True):
+            controlled = system.subdomain.controlled
+            # As the rows: so B is symmetric whatever their weights.
+            of_columns = controlled * rows.factors * system.row_weights if columns_controlled else ~controlled
+            cut = scale(rows.assemble(), np.sqrt(system.eta) * controlled, of_columns)
+            entries.add_sparse(numbers, numbers, cut)
+        return entries
+
+    def _assemble_operator(self, root: Array) -> PETSc.Mat:
+        """B, on the other unknowns D alone."""
+        entries = self._cut_stiffness(columns_controlled=True)
+        owned = self._team.offset(self._whole.n_owned) + np.arange(self._whole.n_owned)
+        nodes = np.arange(len(root) + 1)
+        entries.add_sparse(owned, owned, sparse.bsr_matrix((root, nodes[:-1], nodes)).tocsr())
+        matrix = entries.create_matrix(self._dim)
+        matrix.setOption(PETSc.Mat.Option.SPD, True)
+        return matrix
+
+    def _assemble_surface_mass(self) -> PETSc.Mat:
+        """M_bb."""
+        entries = ParallelEntries(self._team, self._whole.n_owned, self._whole.n_owned)
+        for system, numbers in zip(self._whole.systems, self._whole.numbers, strict=True):
+            others = ~system.subdomain.controlled
+            entries.add_sparse(numbers, numbers, scale(system.hessian, others, others))
+        return entries.create_matrix()
+
+    def _set_up_inverse(self, matrix: PETSc.Mat) -> None:
+        """Coarsen B with the rigid motions, which K does not see."""
+        with PetscStack() as stack:
+            subdomains = [system.subdomain for system in self._whole.systems]
+            places = self._add_up(s.mesh.nodes.ravel() / s.multiplicity for s in subdomains)
+            coordinates = stack.keep(matrix.createVecRight())
+            coordinates.setArray(places)
+            matrix.setNearNullSpace(stack.keep(PETSc.NullSpace().createRigidBody(coordinates)))
+        self._inverse.setOperators(matrix)
+        self._inverse.setFromOptions()
+        self._inverse.setUp()
+
+    def _measure_extension(self, root: Array, surface_root: Array) -> float:
+        """T = |D E x|^2 / |D_b x|^2 of a translation x; 0 where all unknowns are controlled."""
+        translation = np.where(self._controlled, 0.0, 1.0)
+        inside = self._solve_inside(self._multiply(self._coupling, translation))
+        of_inside, of_surface = multiply_blocks(root, inside), multiply_blocks(surface_root, translation)
+        squares, whole = self._team.ordered_sum([np.array([of_inside @ of_inside, of_surface @ of_surface])])
+        return float(squares / whole) if whole else 0.0
+
+
+def scale(matrix: sparse.csr_matrix, of_rows: Array | BoolArray, of_columns: Array | BoolArray) -> sparse.csr_matrix:
+    """Multiply the rows and columns of a matrix by factors, (n,) each; entries that become 0 go."""
+    rows, columns = (sparse.diags(factors.astype(np.float64)) for factors in (of_rows, of_columns))
+    scaled = (rows @ matrix @ columns).tocsr()
+    scaled.eliminate_zeros()
+    return scaled
+
+
+def multiply_blocks(blocks: Array, values: Array) -> Array:
+    """Multiply each node's block, (n_nodes, dim, dim), with its values of all, (n_nodes dim,)."""
+    return np.asarray(np.einsum("nij,nj->ni", blocks, values.reshape(blocks.shape[:2])).ravel())
+
+
+def find_roots(blocks: Array, least: float) -> Array:
+    """Square roots of blocks, made symmetric, whose eigenvalues are raised to the least, (n_nodes, dim, dim)."""
+    values, vectors = np.linalg.eigh((blocks + blocks.swapaxes(1, 2)) / 2)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, least))[:, None, :] @ vectors.swapaxes(1, 2))
+
+
+def find_polynomial(extension: float) -> Array:
+    """Coefficients, from the lowest, of the polynomial of N whose square is near D_b S^-1 D_b; ``extension`` is t."""
+    if extension == 0:
+        return np.ones(1)
+
+    def find_inverse_root(mass: Array) -> Array:
+        of_inside = ROUGH / (1 - mass + ROUGH / extension)
+        return np.asarray(1 / np.sqrt(mass + 2 * of_inside))
+
+    # Of degree DEGREE through as many values and one more, where Chebyshev's polynomial is zero.
+    masses = (chebyshev.chebpts1(DEGREE + 1) + 1) / 2
+    return polynomial.polyfit(masses, find_inverse_root(masses), DEGREE)

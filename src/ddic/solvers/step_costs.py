@@ -8,9 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-LARGEST_ARRAYS = 12_800
-"""Unknowns of a subdomain, 80 x 80 cells, up to which S_s and its inverse are arrays (``DENSE_LIMIT`` in
-``solvers/dual/preconditioner.py``)."""
+LARGEST_ARRAYS = {2: 12_800, 3: 2_187}
+"""Unknowns of a subdomain, 80 x 80 or 8 x 8 x 8 cells, up to which S_s and its inverse are arrays (``DENSE_LIMIT`` in
+``solvers/dual/preconditioner.py``), by dimension."""
+
+
+def count_operations(n: float, dim: int) -> float:
+    """Count a factor's operations by nested dissection, an unknown of n: of all n^1.5, of a volume n^2."""
+    return float(np.sqrt(n)) if dim == 2 else n
+
+
+def count_entries(n: float, dim: int) -> float:
+    """Count a factor's entries by nested dissection, an unknown of n: of all n log n, of a volume n^(4/3)."""
+    return float(np.log2(max(n, 2.0))) if dim == 2 else float(np.cbrt(n))
 
 
 @dataclass(frozen=True)
@@ -20,19 +30,15 @@ class Growth:
     Attributes
     ----------
     constant, growing : float
-        Seconds or bytes; the growing part by the root of the number of unknowns, or by its logarithm to base 2.
+        Seconds or bytes; the growing part for each of ``count_operations``, or of ``count_entries``.
     """
 
     constant: float
     growing: float
 
-    def evaluate_by_root(self, n: float) -> float:
-        """Evaluate it, an unknown, for operations of a factor by nested dissection, n^1.5 for a problem of n."""
-        return self.constant + self.growing * float(np.sqrt(n))
-
-    def evaluate_by_log(self, n: float) -> float:
-        """Evaluate it, an unknown, for entries of a factor by nested dissection, n log n for a problem of n."""
-        return self.constant + self.growing * float(np.log2(max(n, 2.0)))
+    def evaluate(self, count: float) -> float:
+        """Evaluate it, an unknown."""
+        return self.constant + self.growing * count
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ class Factor:
     Attributes
     ----------
     seconds, memory : Growth
-        CPU seconds, with the root, and bytes, with the logarithm.
+        CPU seconds, growing with operations, and bytes, growing with entries.
     """
 
     seconds: Growth
@@ -60,7 +66,7 @@ class CostConstants:
     whole, local : pair of Factor
         Of A by MUMPS on one rank, forming it included, and of A_s by the package for subdomains.
     whole_solve, local_solve : float
-        Seconds of a solve with each, by the logarithm to base 2 of its unknowns.
+        Seconds of a solve with each, an entry.
     parallel_factor : pair of float
         Power of the number of ranks by which the seconds of a rank fall.
     parallel_memory : float
@@ -68,7 +74,7 @@ class CostConstants:
     interface, sparse_interface : pair of Factor
         Of S_s and its inverse, other subdomains all round: as arrays, and by a sparse factor, as large ones have it.
     coarse_set_up : Growth
-        Seconds of modes and coarse matrix of two levels, with the root of a subdomain's unknowns.
+        Seconds of modes and coarse matrix of two levels, growing with operations.
     dual_product : float
         Solves with A_s that an iteration of the interface problem is worth.
     one_level_iterations : pair of float
@@ -86,6 +92,9 @@ class CostConstants:
         Of an inexact step without regularization, and with the least.
     cg_iterations_by_square : float
         The same over the square of the cut-off wavelength in cells.
+    matching_set_up, matching_product, matching_iterations, matching_memory : float
+        Of conjugate gradients with the matching preconditioner: seconds of the set-up, seconds of an iteration,
+        iterations of an inexact step, bytes beside those of M and Kbar.
     """
 
     system_memory: float
@@ -106,9 +115,13 @@ class CostConstants:
     cg_product_calls: tuple[float, float]
     cg_iterations: float
     cg_iterations_by_square: float
+    matching_set_up: float
+    matching_product: float
+    matching_iterations: float
+    matching_memory: float
 
 
-MEASURED = CostConstants(
+PLANE = CostConstants(
     system_memory=810.0,
     whole=(
         Factor(seconds=Growth(constant=6.7e-06, growing=7.4e-09), memory=Growth(constant=1300.0, growing=0.0)),
@@ -139,15 +152,59 @@ MEASURED = CostConstants(
     cg_product_calls=(0.0, 3.1e-05),
     cg_iterations=12.0,
     cg_iterations_by_square=1.0,
+    matching_set_up=2e-5,
+    matching_product=1.5e-6,
+    matching_iterations=12.0,
+    matching_memory=1500.0,
 )
 """Fitted on 26 November 2026 to runs of ``bench.interface_solvers`` with 10,000 to 250,000 unknowns on one and two
 ranks of a shared two-core machine: seconds from 60,000 regularized unknowns on are within a quarter, memory a half."""
 
 
+VOLUME = CostConstants(
+    system_memory=2200.0,
+    whole=(
+        Factor(seconds=Growth(constant=1e-05, growing=4e-10), memory=Growth(constant=0.0, growing=300.0)),
+        Factor(seconds=Growth(constant=1e-04, growing=3.4e-09), memory=Growth(constant=0.0, growing=1000.0)),
+    ),
+    whole_solve=1e-08,
+    parallel_factor=(0.6, 0.6),
+    parallel_memory=0.8,
+    local=(
+        Factor(seconds=Growth(constant=1e-05, growing=4e-10), memory=Growth(constant=0.0, growing=300.0)),
+        Factor(seconds=Growth(constant=1e-04, growing=3.4e-09), memory=Growth(constant=0.0, growing=1000.0)),
+    ),
+    local_solve=1e-08,
+    interface=(
+        Factor(seconds=Growth(constant=1e-05, growing=1e-08), memory=Growth(constant=0.0, growing=300.0)),
+        Factor(seconds=Growth(constant=1e-04, growing=1e-08), memory=Growth(constant=0.0, growing=1000.0)),
+    ),
+    sparse_interface=(
+        Factor(seconds=Growth(constant=1e-05, growing=1e-08), memory=Growth(constant=0.0, growing=300.0)),
+        Factor(seconds=Growth(constant=1e-04, growing=1e-08), memory=Growth(constant=0.0, growing=1000.0)),
+    ),
+    coarse_set_up=Growth(constant=1e-4, growing=0.0),
+    dual_product=2.3,
+    one_level_iterations=(4.0, 4.0),
+    two_level_iterations=4.0,
+    cg_set_up=2e-6,
+    cg_product=(1e-07, 3e-07),
+    cg_product_calls=(0.0, 3.1e-05),
+    cg_iterations=12.0,
+    cg_iterations_by_square=1.0,
+    matching_set_up=4e-5,
+    matching_product=1.5e-6,
+    matching_iterations=12.0,
+    matching_memory=4000.0,
+)
+
+MEASURED = {2: PLANE, 3: VOLUME}
+"""By dimension of the mesh."""
+
 STARTED_PIXEL = 8e-8
 """Seconds of a pixel in the independent start: some three passes of 2.5e-8 s (bench/kernel_rates.py)."""
 
-StepMethod = Literal["dual", "assembled", "conjugate_gradient", "monolithic"]
+StepMethod = Literal["dual", "assembled", "conjugate_gradient", "matching", "monolithic"]
 
 
 @dataclass(frozen=True)
@@ -165,6 +222,8 @@ class StepTask:
     n_started : int
         Pixels of the region, over all frames, that the dual method's subdomains are first measured on by themselves; 0
         where they are not, or whatever the method.
+    dim : int
+        Of the mesh.
     """
 
     n_unknowns: int
@@ -173,6 +232,12 @@ class StepTask:
     n_ranks: int
     n_steps: int
     n_started: int = 0
+    dim: int = 2
+
+    @property
+    def constants(self) -> CostConstants:
+        """What its parts take."""
+        return MEASURED[self.dim]
 
     @property
     def is_regularized(self) -> bool:
@@ -251,57 +316,70 @@ def predict_costs(task: StepTask, candidate: StepCandidate) -> StepCosts:
         return _predict_assembled(task, candidate)
     if candidate.method == "conjugate_gradient":
         return _predict_conjugate_gradient(task, candidate)
+    if candidate.method == "matching":
+        return _predict_matching(task, candidate)
     # The monolithic step is the factor of the only subdomain, without an interface.
     return _predict_dual(task, candidate)
 
 
-def find_shared_boundary(n_subdomains: int) -> float:
-    """Find which share of the boundaries of a square's subdomains lies between two: 0 for one, near 1 for many."""
-    return 1.0 - 1.0 / float(np.sqrt(n_subdomains))
+def find_shared_boundary(n_subdomains: int, dim: int) -> float:
+    """Find which share of the boundaries of a square's or cube's subdomains lies between two: near 1 for many."""
+    return 1.0 - 1.0 / float(n_subdomains ** (1 / dim))
 
 
 def _predict_assembled(task: StepTask, candidate: StepCandidate) -> StepCosts:
-    """MUMPS's nested dissection: n^1.5 operations of the factor, n log n entries."""
-    n = task.n_unknowns
-    kind = MEASURED.whole[task.is_regularized]
+    """MUMPS's nested dissection."""
+    n, known = task.n_unknowns, task.constants
+    kind = known.whole[task.is_regularized]
     # The top of the elimination tree is no work for many.
-    spread = task.n_ranks ** MEASURED.parallel_factor[task.is_regularized]
-    seconds = n * kind.seconds.evaluate_by_root(n) / spread
-    solve = n * MEASURED.whole_solve * np.log2(n) / spread
-    memory = n * kind.memory.evaluate_by_log(n) / task.n_ranks**MEASURED.parallel_memory
-    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * MEASURED.system_memory + memory)
+    spread = task.n_ranks ** known.parallel_factor[task.is_regularized]
+    entries = count_entries(n, task.dim)
+    seconds = n * kind.seconds.evaluate(count_operations(n, task.dim)) / spread
+    solve = n * known.whole_solve * entries / spread
+    memory = n * kind.memory.evaluate(entries) / task.n_ranks**known.parallel_memory
+    return StepCosts(candidate, seconds, solve, task.n_steps, 0.0, task.n_share * known.system_memory + memory)
 
 
 def _predict_conjugate_gradient(task: StepTask, candidate: StepCandidate) -> StepCosts:
     """Iterations as the root of D^-1 A's condition number: the square of the cut-off wavelength in cells."""
-    iterations = max(MEASURED.cg_iterations, MEASURED.cg_iterations_by_square * task.wavelength**2)
+    known = task.constants
+    iterations = max(known.cg_iterations, known.cg_iterations_by_square * task.wavelength**2)
     n_own = -(-candidate.n_subdomains // task.n_ranks)
-    of_rank, of_subdomain = MEASURED.cg_product_calls
-    product = task.n_share * MEASURED.cg_product[task.is_regularized] + of_rank + n_own * of_subdomain
-    return StepCosts(candidate, task.n_share * MEASURED.cg_set_up, iterations * product, task.n_steps, iterations,
-                     task.n_share * MEASURED.system_memory)
+    of_rank, of_subdomain = known.cg_product_calls
+    product = task.n_share * known.cg_product[task.is_regularized] + of_rank + n_own * of_subdomain
+    return StepCosts(candidate, task.n_share * known.cg_set_up, iterations * product, task.n_steps, iterations,
+                     task.n_share * known.system_memory)
+
+
+def _predict_matching(task: StepTask, candidate: StepCandidate) -> StepCosts:
+    """As many iterations whatever the cut-off wavelength."""
+    known, n = task.constants, task.n_share
+    step = known.matching_iterations * n * known.matching_product
+    return StepCosts(candidate, n * known.matching_set_up, step, task.n_steps, known.matching_iterations,
+                     n * (known.system_memory + known.matching_memory))
 
 
 def _predict_dual(task: StepTask, candidate: StepCandidate) -> StepCosts:
     """CHOLMOD of each subdomain, S_s and its inverse, as many operations each as a factor, and few iterations."""
-    n_subdomains = candidate.n_subdomains
+    n_subdomains, known = candidate.n_subdomains, task.constants
     n_own = -(-n_subdomains // task.n_ranks)
     n = task.n_unknowns / n_subdomains
-    kind, alone = MEASURED.local[task.is_regularized], MEASURED.local[False]
-    set_up = kind.seconds.evaluate_by_root(n)
-    memory = MEASURED.system_memory + kind.memory.evaluate_by_log(n)
+    operations, entries = count_operations(n, task.dim), count_entries(n, task.dim)
+    kind, alone = known.local[task.is_regularized], known.local[False]
+    set_up = kind.seconds.evaluate(operations)
+    memory = known.system_memory + kind.memory.evaluate(entries)
     started = 0.0
     if n_subdomains > 1:
-        interface = (MEASURED.interface if n <= LARGEST_ARRAYS else MEASURED.sparse_interface)[task.is_regularized]
-        shared = find_shared_boundary(n_subdomains) if n <= LARGEST_ARRAYS else 1.0
-        set_up += shared * interface.seconds.evaluate_by_root(n)
-        memory += shared * interface.memory.evaluate_by_log(n)
+        interface = (known.interface if n <= LARGEST_ARRAYS[task.dim] else known.sparse_interface)[task.is_regularized]
+        shared = find_shared_boundary(n_subdomains, task.dim) if n <= LARGEST_ARRAYS[task.dim] else 1.0
+        set_up += shared * interface.seconds.evaluate(operations)
+        memory += shared * interface.memory.evaluate(entries)
         started = task.n_started / task.n_ranks * STARTED_PIXEL
-        set_up += alone.seconds.evaluate_by_root(n) if task.n_started else 0.0
+        set_up += alone.seconds.evaluate(operations) if task.n_started else 0.0
     if candidate.preconditioner == "two_level":
-        set_up += MEASURED.coarse_set_up.evaluate_by_root(n)
+        set_up += known.coarse_set_up.evaluate(operations)
     iterations = _count_dual_iterations(task, candidate)
-    step = n_own * n * MEASURED.local_solve * np.log2(n) * (1 + MEASURED.dual_product * iterations)
+    step = n_own * n * known.local_solve * entries * (1 + known.dual_product * iterations)
     return StepCosts(candidate, n_own * n * set_up + started, step, task.n_steps, iterations, n_own * n * memory)
 
 
@@ -310,9 +388,9 @@ def _count_dual_iterations(task: StepTask, candidate: StepCandidate) -> float:
     if candidate.n_subdomains == 1:
         return 0.0
     if candidate.preconditioner == "two_level":
-        return MEASURED.two_level_iterations
-    side = np.sqrt(task.n_cells / candidate.n_subdomains)
+        return task.constants.two_level_iterations
+    side = (task.n_cells / candidate.n_subdomains) ** (1 / task.dim)
     # A wave longer than the region is as good as one of its length.
-    longest = np.sqrt(candidate.n_subdomains)
-    few, by_wave = MEASURED.one_level_iterations
+    longest = float(candidate.n_subdomains ** (1 / task.dim))
+    few, by_wave = task.constants.one_level_iterations
     return float(few + by_wave * min(task.wavelength / side, longest))

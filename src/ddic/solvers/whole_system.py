@@ -178,37 +178,42 @@ class EquilibriumRows:
     ----------
     system : LocalSystem
         Its field has Kbar_s; without regularization, all rows are empty.
+
+    Attributes
+    ----------
+    factors : (n_field,) array
+        Of the rows of the system's stiffness, no unit.
     """
 
     def __init__(self, system: LocalSystem) -> None:
         n_field, n_unknowns = system.subdomain.n_field, system.subdomain.n_unknowns
         # diag(w) T^T K T, and factors of its rows.
         self._stiffness = sparse.csr_matrix((n_field, n_unknowns)) if system.stiffness is None else system.stiffness
-        self._factors = 1.0 / np.sqrt(system.subdomain.multiplicity)
+        self.factors = 1.0 / np.sqrt(system.subdomain.multiplicity)
         if system.projection is not None:
-            self._factors = self._factors * system.projection
+            self.factors = self.factors * system.projection
         # Kept: making the matrix anew takes longer than its product with a vector.
         self._transposed = self._stiffness.T
 
     def multiply(self, x: Array) -> Array:
         """Compute Kbar_s x, x in pixels; 0 for a camera's motion: it displaces no matter, so is in no equilibrium."""
         product = np.zeros(len(x))
-        np.multiply(self._factors, self._stiffness @ x, out=product[:len(self._factors)])
+        np.multiply(self.factors, self._stiffness @ x, out=product[:len(self.factors)])
         return product
 
     def multiply_transposed(self, gap: Array) -> Array:
         """Compute Kbar_s^T times a value of each unknown, forces, (n_unknowns,), without those of a camera's motion."""
-        return np.asarray(self._transposed @ (self._factors * gap[:len(self._factors)]))
+        return np.asarray(self._transposed @ (self.factors * gap[:len(self.factors)]))
 
     def sum_squares(self) -> Array:
         """Sum the squares of each unknown's column: the diagonal of Kbar_s^T Kbar_s, (n_unknowns,)."""
-        return sum_column_squares(self._stiffness, self._factors)
+        return sum_column_squares(self._stiffness, self.factors)
 
     def assemble(self) -> sparse.csr_matrix:
         """Form the square matrix, for who needs more than its products; rows of a camera's motion are zero."""
         n_field, n_unknowns = self._stiffness.shape
         no_equilibrium = sparse.csr_matrix((n_unknowns - n_field, n_unknowns))
-        return sparse.vstack([scale_rows(self._stiffness, self._factors), no_equilibrium]).tocsr()
+        return sparse.vstack([scale_rows(self._stiffness, self.factors), no_equilibrium]).tocsr()
 
 
 ZERO_PIVOT = -10
@@ -306,23 +311,27 @@ share iterates less and leaves more error."""
 
 
 class ConjugateGradientStep(PetscOwner):
-    """Solves Eq. 11 of [BP17] for all subdomains at once, preconditioned by the diagonal D of A.
+    """Solves Eq. 11 of [BP17] for all subdomains at once by conjugate gradients, by default preconditioned by diag(A).
 
     Nothing is factorised: two products with Kbar_s and one with M_s an iteration, whose number grows with the cut-off
-    wavelength. PETSc options (prefix ``cg_``): ``-cg_ksp_monitor``, ``-cg_ksp_type``... Making it raises
-    SingularSubdomainError on all ranks, where an unknown is held by nothing.
+    wavelength where another preconditioner does not prevent it. PETSc options (prefix ``cg_``): ``-cg_ksp_monitor``,
+    ``-cg_ksp_type``... Making it raises SingularSubdomainError on all ranks, where an unknown is held by nothing.
 
     Parameters
     ----------
     team, systems : Team, sequence of LocalSystem
         All ranks, which make it together; this rank's subdomains.
     tolerance : float
-        On the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with z = D^-1 times the residual.
+        On the relative error, by |e|/|dq| <= cond(D^-1 A) |z|/|z_0| with z = D^-1 times the residual, D the
+        preconditioner's operator.
     max_iterations : int
         Most iterations of one step.
+    precondition : callable, optional
+        Makes the context of PETSc's shell preconditioner, which is this step's to destroy; collective.
     """
 
-    def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int) -> None:
+    def __init__(self, team: Team, systems: Sequence[LocalSystem], tolerance: float, max_iterations: int,
+                 precondition: Callable[[Team, WholeSystem], PetscOwner] | None = None) -> None:
         self._tolerance = tolerance
         self._unit_size = measure_unit_size(team, [system.subdomain for system in systems])
         with PetscStack() as stack:
@@ -335,6 +344,10 @@ class ConjugateGradientStep(PetscOwner):
             self._preconditioned = stack.keep(self._whole.exchange.create_vector())
             self._ksp = stack.keep(create_ksp(team.comm, CONJUGATE_GRADIENT))
             self._configure(max_iterations)
+            if precondition is not None:
+                self._ksp.getPC().setType(PETSc.PC.Type.PYTHON)
+                self._ksp.getPC().setPythonContext(stack.keep(precondition(team, self._whole)))
+            self._ksp.setUp()
             self._objects = stack.pop_all()
         self.forget()
 
@@ -384,7 +397,6 @@ class ConjugateGradientStep(PetscOwner):
         self._ksp.setConvergenceHistory(length=max_iterations + 2, reset=True)
         self._ksp.setFromOptions()
         self._whole.check_diagonal(self._matrix)
-        self._ksp.setUp()
 
     def _preconditioned_norm(self, vector: PETSc.Vec) -> float:
         """|D^-1 vector|."""
