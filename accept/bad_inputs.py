@@ -19,6 +19,7 @@ from accept.trials.mutants import DAMAGED, list_mutants
 from accept.trials.result_trials import list_result_trials
 from accept.trials.trial import ON_CASE, Trial, make_good_folder
 from accept.trials.try_all import Verdict, try_all, try_apart, try_one
+from accept.trials.volume_trials import list_volume_trials
 from accept.trials.watched_worker import LIMIT_S, Ended, Worker
 from bench.support.rows import Row, append_result
 from bench.support.runs import DATA
@@ -49,14 +50,19 @@ def choose_sample(trials: Sequence[Trial], n_chosen: int) -> list[Trial]:
 
 def measure_bad_inputs(scale: Scale) -> list[Row]:
     """Try every kind of bad input, and some as a user does: in processes of their own, on two ranks."""
-    trials, folder = list_bad_inputs(), scale.folder("trials")
+    return try_kinds(scale, list_bad_inputs(), FEWEST_KINDS)
+
+
+def try_kinds(scale: Scale, trials: Sequence[Trial], fewest: int) -> list[Row]:
+    """Try kinds of bad input, of which there are to be some at least, and some as a user does."""
+    folder = scale.folder("trials")
     of_cases = [trial for trial in trials if trial.commands == ON_CASE]
     apart = choose_sample(of_cases, SMOKE_APART if scale.smoke else len(of_cases) // EVERY_APART)
     bound = "exit code 2, or a measured result; one line a mistake; no traceback; nothing written; check and run agree"
     tried = choose_sample(trials, SMOKE_KINDS) if scale.smoke else trials
     # The sample of a smoke run is taken from all kinds.
-    rows = [_row(f"{len(tried)} of {len(trials)} kinds of bad input, at least {FEWEST_KINDS}", bound,
-                 try_all(tried, folder, scale.jobs), len(trials) >= FEWEST_KINDS)]
+    rows = [_row(f"{len(tried)} of {len(trials)} kinds of bad input, at least {fewest}", bound,
+                 try_all(tried, folder, scale.jobs), len(trials) >= fewest)]
     for n_ranks in (0, 2):
         where = f"run on {n_ranks} ranks" if n_ranks else "each command a process"
         rows.append(_row(f"{len(apart)} of them, {where}", bound, try_apart(apart, folder, n_ranks)))
@@ -118,7 +124,7 @@ def run_trials(arguments: Sequence[str]) -> int:
     parser.add_argument("--list", action="store_true", help="list the kinds and try none")
     chosen = parser.parse_args(arguments)
     mutants = [trial for kind in DAMAGED for trial in list_mutants(kind, N_MUTANTS)]
-    trials = [trial for trial in (*list_bad_inputs(), *mutants)
+    trials = [trial for trial in (*list_bad_inputs(), *list_volume_trials(), *mutants)
               if not chosen.words or any(word in trial.name for word in chosen.words)]
     if chosen.sample is not None:
         trials = choose_sample(trials, chosen.sample)

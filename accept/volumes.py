@@ -14,10 +14,19 @@ import tifffile
 from numpy.typing import NDArray
 
 from accept.accuracy import ELEMENT, error_rms
+from accept.bad_inputs import try_kinds
 from accept.table import Scale
+from accept.trials.volume_trials import list_volume_trials
+from bench import interface_solvers, large_volumes, volume_kernels, volume_peers
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, images, real_data
+from bench.support.tiled_texture import CELL
+from bench.volume_kernels import SIX
+from ddic.io.mesh_file import write_mesh
 from ddic.io.result_reader import read_result
+from ddic.mesh.cell_type import TET4
+from ddic.mesh.grid import GridLines
+from ddic.mesh.mesh import build_mesh
 from ddic.methods.sweep import render_virtual_image
 
 Array = NDArray[np.float64]
@@ -166,3 +175,128 @@ def measure_snow(scale: Scale) -> list[Row]:
                             f"<= {MOST_FLOORS:g} of the noise floor that the run tells",
                             f"{rms:.4f} of {floor:.4f} voxels", rms <= MOST_FLOORS * floor))
     return rows
+
+
+EQUAL_SIZE, EQUAL_WAVELENGTH, MOST_DIFFERENCE = 48, 24, 1e-8
+"""Side of the volumes and cut-off wavelength, voxels; difference of fields, relative to the largest displacement."""
+
+METHODS = {"dual": 'method = "dual"\nsubdomains = 8', "assembled": 'method = "assembled"\nsubdomains = 8',
+           "conjugate_gradient": 'method = "conjugate_gradient"\nsubdomains = 8',
+           "matching": 'method = "matching"\nsubdomains = 8'}
+RANKS = (1, 2, 3, 4)
+
+TIGHT = """tolerance = 1e-12
+inexact = false
+max_iterations = 5000
+[gauss_newton]
+tolerance = 1e-12
+rms_tolerance = 1e-12
+[start]
+independent = false
+"""
+"""Keys that leave no error of iterations."""
+
+
+def measure_equality(scale: Scale) -> list[Row]:
+    """Measure with all methods on several ranks, and with one factor on one rank."""
+    size = EQUAL_SIZE
+    folder = images("sinusoidal", "--size", f"{size}x{size}x{size}", folder=scale.folder("volume_equal"))
+    mask = np.full((size,) * 3, 255, np.uint8)
+    mask[:, 20:24, 8:24] = 0
+    tifffile.imwrite(folder / "mask.tif", mask)
+    grid = GridLines((np.arange(8.0, 41.0, 8.0),) * 3).build_mesh()
+    write_mesh(folder / "tetrahedra.vtu", build_mesh(grid.nodes, {TET4: grid.cells[:, SIX].reshape(-1, 4)}))
+    write_mesh(folder / "boxes.vtu", grid)
+    rows = []
+    for cells in ("boxes", "tetrahedra"):
+        text = (f'[volumes]\nreference = "reference.tif"\ndeformed = "deformed.tif"\nreference_mask = "mask.tif"\n'
+                f'[mesh]\nfile = "{cells}.vtu"\n{_cut_off(EQUAL_WAVELENGTH)}')
+
+        def measure(solver: str, n_ranks: int, text: str = text) -> Array:
+            ddic_run(f"{text}[solver]\n{solver}\n{TIGHT}", folder, n_ranks)
+            return np.asarray(read_result(folder / "result.vtkhdf").displacement)
+
+        oracle = measure('method = "monolithic"', 1)
+        found = {f"{method} on {n_ranks}": float(np.abs(measure(keys, n_ranks) - oracle).max() / np.abs(oracle).max())
+                 for method, keys in METHODS.items() for n_ranks in (RANKS[:2] if scale.smoke else RANKS)}
+        worst = max(found, key=found.__getitem__)
+        rows.append(Row(f"{size}^3 with a mask, {cells} of 8 voxels, l_c = {EQUAL_WAVELENGTH} voxels, 8 subdomains; "
+                        f"{', '.join(METHODS)} on {', '.join(map(str, RANKS))} ranks against one factor",
+                        f"<= {MOST_DIFFERENCE:g} relative", f"{found[worst]:.1e}, {worst} ranks",
+                        found[worst] <= MOST_DIFFERENCE))
+    return rows
+
+
+MOST_SCALED, MOST_TWO_LEVEL = 30, 25
+"""Iterations of the interface problem to 1e-6."""
+
+INTERFACES = ([("scaled", 8, 2, waves) for waves in (0.5, 1.0, 2.0, 4.0)]
+              + [("two_level", 6, blocks, waves) for blocks in (4, 6) for waves in (2.0, 4.0, 8.0)])
+"""Preconditioner, elements along a subdomain's side, subdomains along the cube's, cut-off wavelength over the side."""
+
+
+def measure_iterations(scale: Scale) -> list[Row]:
+    """Count the iterations of the dual method."""
+    counts: dict[str, dict[str, int]] = {"scaled": {}, "two_level": {}}
+    for preconditioner, side, blocks, waves in INTERFACES[:1] if scale.smoke else INTERFACES:
+        record = interface_solvers.run(preconditioner, side, side * blocks, waves * side * CELL, 1,
+                                       interface_solvers.TIMEOUT_S, 3)
+        append_result("volumes_runs", record)
+        counts[preconditioner][f"{blocks**3} subdomains, l_c = {waves:g} H"] = record.get("iterations", 10**6)
+    rows = []
+    for preconditioner, most in (("scaled", MOST_SCALED), ("two_level", MOST_TWO_LEVEL)):
+        listed = "; ".join(f"{where}: {count}" for where, count in counts[preconditioner].items())
+        rows.append(Row(f"dual, {preconditioner}, cubes of Hex8, tiled texture: iterations to 1e-6", f"<= {most}",
+                        listed or "not measured", max(counts[preconditioner].values(), default=0) <= most))
+    return rows
+
+
+LONG_SIDE, LONG_WAVES, LONG_SECONDS, LONG_MEMORY = 40, 32, 20, 2
+"""Elements along a cube, cut-off wavelength in elements, CPU seconds, GiB."""
+
+
+def measure_long_wavelength(scale: Scale) -> list[Row]:
+    """Solve one linear step of 206,763 unknowns with a long cut-off wavelength."""
+    side = 8 if scale.smoke else LONG_SIDE
+    record = interface_solvers.run("matching", None, side, LONG_WAVES * CELL, 1, interface_solvers.TIMEOUT_S, 3)
+    append_result("volumes_runs", record)
+    seconds, memory = record["setup_cpu"] + record["solve_cpu"], max(record["peak_memory_bytes"]) / 2**30
+    return [Row(f"{record['n_dofs']} unknowns, Hex8, l_c = {LONG_WAVES} elements, solver.method = \"matching\", 1 rank: "
+                "set-up and one step to 1e-6", f"<= {LONG_SECONDS} CPU s, <= {LONG_MEMORY} GiB",
+                f"{seconds:.1f} CPU s ({record['setup_cpu']:.1f} of set-up), {record['iterations']} iterations, "
+                f"{memory:.2f} GiB", seconds <= LONG_SECONDS and memory <= LONG_MEMORY, judged_small=False)]
+
+
+def measure_kernels(scale: Scale) -> list[Row]:
+    """Measure the rates of voxel kernels."""
+    return volume_kernels.measure(volume_kernels.SMALL if scale.smoke else volume_kernels.SIZE)
+
+
+def measure_large(scale: Scale) -> list[Row]:
+    """Measure 512^3 voxels from files to the result."""
+    return [large_volumes.measure(128 if scale.smoke else 512)]
+
+
+def measure_huge(scale: Scale) -> list[Row]:
+    """Measure 1024^3 voxels, regularized."""
+    return [large_volumes.measure(128 if scale.smoke else 1024)]
+
+
+def measure_peers(scale: Scale) -> list[Row]:
+    """Measure CPU and error against al-dvc and spam, which the first measurement installs."""
+    if not scale.smoke:
+        return volume_peers.measure()
+    folder = images("translation", "--size", "64x64x64", "--vector", "0.5", "0.5", "0.5",
+                    folder=scale.folder("volume_of_peers"))
+    summary = ddic_run(write_case(folder, (64, MARGIN), ELEMENT), folder, 1)
+    return [Row("al-dvc and spam: ddic alone", "runs", f"{sum(summary['cpu_seconds'].values()):.1f} CPU s", True,
+                judged_small=False)]
+
+
+FEWEST_KINDS = 400
+"""Of bad input."""
+
+
+def measure_bad_inputs(scale: Scale) -> list[Row]:
+    """Try every kind of bad input that volumes can have, and some as a user does."""
+    return try_kinds(scale, list_volume_trials(), FEWEST_KINDS)

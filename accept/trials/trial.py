@@ -118,6 +118,9 @@ def change(case: Mapping[str, Any], keys: tuple[str, ...], value: Any) -> dict[s
 SIDE = 96
 """Of the images, pixels: a measurement of them takes a fraction of a second."""
 
+VOLUME_SIDE = 32
+"""Of the volumes, voxels."""
+
 SMALL = ("--size", f"{SIDE}x{SIDE}", "--seed", "3")
 LOW, HIGH, ELEMENT = 16, 80, 16
 
@@ -138,14 +141,22 @@ NEAR: dict[str, Any] = {
     "mesh": {"structured": {"region": [8, 8, 88, 88], "element_size": 8}},
     "near": [{"reference": "near_reference.tif", "deformed": "near_deformed.tif", "mapping_file": "mapping.toml"}],
 }
+BOX = [4, 4, 4, 28, 28, 28]
+"""Of the mesh in a volume of VOLUME_SIDE voxels a side."""
+
+VOLUME: dict[str, Any] = {
+    "volumes": {"reference": "volume_reference.tif", "deformed": "volume_deformed.tif"},
+    "mesh": {"structured": {"region": BOX, "element_size": 8}},
+    "output": {"file": "result.vtkhdf"},
+}
 OF_SECTION: Mapping[str, Mapping[str, Any]] = {
     "regularization": REGULARIZED, "solver": REGULARIZED, "series": SERIES, "pgd": PGD, "discontinuity": CUT,
-    "near": NEAR,
+    "near": NEAR, "volumes": VOLUME,
 }
 """The case in which a section's keys are tried; PAIR where a section has none."""
 
 RESULTS: Mapping[str, Mapping[str, Any]] = {"pair": PAIR, "series": SERIES, "pgd": PGD, "cut": CUT,
-                                            "regularized": REGULARIZED}
+                                            "regularized": REGULARIZED, "volume": VOLUME}
 """Cases that are measured beforehand: their results are earlier.NAME.vtkhdf."""
 
 
@@ -158,6 +169,7 @@ def make_good_folder(folder: Path) -> Path:
     folder.mkdir(parents=True)
     _write_images(folder)
     _write_mesh(folder)
+    _write_volumes(folder)
     _measure(folder)
     stamp.write_text(wanted, encoding="utf-8")
     return folder
@@ -196,6 +208,25 @@ def _write_mesh(folder: Path) -> None:
     (folder / "partition.txt").write_text("# of each cell\n" + "\n".join(str(k // 8) for k in range(16)) + "\n")
     (folder / "points.csv").write_text("x,y,u,v\n20,20,1.3,-0.7\n70,20,1.3,-0.7\n40,70,1.3,-0.7\n")
     (folder / "probes.toml").write_text("[point.A]\nat = [40, 40]\n")
+
+
+def _write_volumes(folder: Path) -> None:
+    """A pair of volumes with a mask, a mesh file of 3 x 3 x 3 boxes, a partition of it, and points to start from."""
+    size = "x".join([str(VOLUME_SIDE)] * 3)
+    other = folder / "other"
+    ddic("synth", "translation", "--vector", "1.3", "-0.7", "0.4", "--size", size, "--seed", "3", "--noise", "1",
+         "--output", str(other))
+    for name in ("reference", "deformed"):
+        (other / f"{name}.tif").rename(folder / f"volume_{name}.tif")
+    shutil.rmtree(other)
+    mask = np.full((VOLUME_SIDE,) * 3, 255, np.uint8)
+    mask[:2] = 0
+    tifffile.imwrite(folder / "volume_mask.tif", mask)
+    grid = GridLines((np.linspace(BOX[0], BOX[3], 4),) * 3).build_mesh()
+    write_mesh(folder / "volume_mesh.msh", grid)
+    (folder / "volume_partition.txt").write_text("\n".join(str(number // 14) for number in range(grid.n_cells)) + "\n")
+    (folder / "volume_points.csv").write_text("x,y,z,u,v,w\n" + "".join(
+        f"{place},1.3,-0.7,0.4\n" for place in ("6,6,6", "26,6,8", "8,26,6", "6,8,26")))
 
 
 def _measure(folder: Path) -> None:

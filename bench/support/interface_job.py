@@ -31,7 +31,7 @@ from ddic.parallel.distribution import scatter_subdomains
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
 from ddic.partition.sharing import build_subdomains
-from ddic.partition.split import split_by_metis
+from ddic.partition.split import split_by_blocks, split_by_metis
 from ddic.partition.subdomain import Subdomain, interface_weights
 from ddic.problem.assembly import Assembly
 from ddic.solvers.dual.dual_step import DualSettings, DualStep
@@ -89,10 +89,13 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
            ) -> tuple[dict[str, Any], Values]:
     """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
     count = max(round((problem.n / per_subdomain) ** problem.dim), 2) if per_subdomain else team.size
+    along = round(problem.n / per_subdomain) if per_subdomain else 1
+    blocks = (along,) * problem.dim if per_subdomain else (1,) * (problem.dim - 1) + (count,)
 
     def split() -> tuple[list[Any], NDArray[np.float64]]:
         mesh = problem.rows_of_cells(0, problem.n)
-        labels = split_by_metis(mesh, count)
+        # Boxes are split into blocks where nothing else is asked for.
+        labels = split_by_metis(mesh, count) if problem.dim == 2 else split_by_blocks(mesh, blocks)
         # Equal cells, split evenly: equal costs.
         is_controlled = problem.controlled(mesh) & (problem.wavelength > 0)
         return build_subdomains(NodalRegion(mesh), labels, is_controlled), np.ones(count)

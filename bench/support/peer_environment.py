@@ -13,7 +13,7 @@ from typing import Any
 
 from bench.support.runs import DATA, ROOT
 
-REQUIREMENTS = ("pyxel-dic>=2026.10.8", "pyvale>=2026.10.2", "numba>=0.60")
+REQUIREMENTS = ("pyxel-dic>=2026.10.8", "pyvale>=2026.10.2", "numba>=0.60", "al-dvc>=1.2.1", "spam>=0.9.1")
 TIMEOUT = "3600"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 FOLDER = DATA / "peers-venv"
