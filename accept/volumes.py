@@ -261,7 +261,7 @@ def measure_long_wavelength(scale: Scale) -> list[Row]:
     record = interface_solvers.run("matching", None, side, LONG_WAVES * CELL, 1, interface_solvers.TIMEOUT_S, 3)
     append_result("volumes_runs", record)
     seconds, memory = record["setup_cpu"] + record["solve_cpu"], max(record["peak_memory_bytes"]) / 2**30
-    return [Row(f"{record['n_dofs']} unknowns, Hex8, l_c = {LONG_WAVES} elements, solver.method = \"matching\", 1 rank: "
+    return [Row(f"{record['n_dofs']} unknowns, Hex8, l_c = {LONG_WAVES} elements, method = \"matching\", 1 rank, "
                 "set-up and one step to 1e-6", f"<= {LONG_SECONDS} CPU s, <= {LONG_MEMORY} GiB",
                 f"{seconds:.1f} CPU s ({record['setup_cpu']:.1f} of set-up), {record['iterations']} iterations, "
                 f"{memory:.2f} GiB", seconds <= LONG_SECONDS and memory <= LONG_MEMORY, judged_small=False)]

@@ -2,9 +2,9 @@
 
 Usage: python -m bench.large_volumes [SIDE ...], 512 and 1024 by default.
 
-A periodic speckle and the same moved by a known translation, exactly: by the phase of its Fourier coefficients, of which
-a smooth speckle has none near the voxel's own frequency. The cube of TILE voxels is repeated, 8 bit, raw numbers with a
-sidecar. Time, memory and error go to bench/results/large_volumes.jsonl.
+A periodic speckle and the same moved by a known translation, exactly: by the phase of its Fourier coefficients, of
+which a smooth speckle has none near the voxel's own frequency. The cube of TILE voxels is repeated, 8 bit, raw numbers
+with a sidecar. Time, memory and error go to bench/results/large_volumes.jsonl.
 """
 
 from __future__ import annotations

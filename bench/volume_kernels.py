@@ -46,7 +46,7 @@ def build_meshes(size: int) -> dict[str, Mesh]:
 def displace(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Smooth waves at nodes (n, 3), as unknowns (3 n,), voxels."""
     waves = 0.6 * np.sin(2 * np.pi * nodes[:, [1, 2, 0]] / 128 + 0.3)
-    return np.asarray(waves + (0.35, -0.25, 0.4)).ravel()
+    return np.asarray(waves + np.array([0.35, -0.25, 0.4])).ravel()
 
 
 def measure(size: int = SIZE) -> list[Row]:

@@ -1,4 +1,4 @@
-"""CPU seconds and error of ddic and of its peers on the same volumes: al-dvc (subsets, then a field) and spam (subsets).
+"""CPU seconds and error of ddic and its peers on the same volumes: al-dvc (subsets, then a field) and spam (subsets).
 
 Usage: python -m bench.volume_peers [--size N] [--repeats N]
 
@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -84,10 +84,11 @@ def run_program(name: str, size: int) -> dict[str, Any]:
         result = read_result(case.with_suffix(".vtkhdf"))
         points, displacement = result.mesh.nodes, result.displacement
     else:
-        task = {"folder": str(folder), "warm_up": str(small), "field": str(folder / f"{name}.npz"), "subset": SUBSET,
-                "step": STEP, "margin": ELEMENT}
+        field = folder / f"{name}.npz"
+        task = {"folder": str(folder), "warm_up": str(small), "field": str(field), "subset": SUBSET, "step": STEP,
+                "margin": ELEMENT}
         record, whole = run_peer(SUPPORT / f"peer_{name}_job.py", json.dumps(task))
-        with np.load(task["field"]) as found:
+        with np.load(field) as found:
             points, displacement = found["points"], found["displacement"]
     record = {**record, "program": name, "size": size, "whole_job_seconds": whole,
               "rms_error_px": measure_error(points, displacement, size)}
@@ -104,7 +105,7 @@ def measure(size: int = SIZE, repeats: int = REPEATS) -> list[Row]:
     return [_compare(name, runs["ddic"], runs[name], size) for name in LEAST]
 
 
-def _compare(name: str, ours: list[Mapping[str, Any]], theirs: list[Mapping[str, Any]], size: int) -> Row:
+def _compare(name: str, ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]], size: int) -> Row:
     own, other = (median(run["cpu_seconds"] for run in found) for found in (ours, theirs))
     error, of_peer = ours[-1]["rms_error_px"], theirs[-1]["rms_error_px"]
     last = theirs[-1]

@@ -15,6 +15,8 @@ import numpy as np
 import tifffile
 
 from bench.support.runs import ddic, source_version
+from ddic.io.mesh_file import write_mesh
+from ddic.mesh.grid import GridLines
 
 CASE_FILE = "case.toml"
 ON_CASE: tuple[tuple[str, ...], ...] = (("check", CASE_FILE), ("run", CASE_FILE))

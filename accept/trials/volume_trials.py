@@ -99,8 +99,10 @@ def _folder(*slices: Callable[[Voxels], Any]) -> Write:
     return write
 
 
-def _text(path: Path, _: Voxels) -> None:
-    path.with_suffix(".raw").write_text("nothing of the kind\n", encoding="utf-8")
+def _bytes(suffix: str, content: bytes) -> Write:
+    def write(path: Path, _: Voxels) -> None:
+        path.with_suffix(suffix).write_bytes(content)
+    return write
 
 
 def _with_infinite(voxels: Voxels) -> Voxels:
@@ -131,7 +133,7 @@ VOLUMES: Mapping[str, tuple[str, Write, Expected]] = {
     "a stack cut short": ("odd.tif", _cut_short(".tif"), "refused"),
     "a compressed stack cut short": ("odd.tiff", _cut_short(".tiff"), "refused"),
     "raw numbers without a sidecar": ("odd.raw", _raw(None), "refused"),
-    "text": ("odd.raw", _text, "refused"),
+    "text": ("odd.raw", _bytes(".raw", b"nothing of the kind\n"), "refused"),
     "raw numbers cut short": ("odd.raw", _raw(GOOD_SIDECAR, 0.5), "refused"),
     "good raw numbers": ("odd.raw", _raw(GOOD_SIDECAR), "refused or measured"),
     "a sidecar that is empty": ("odd.raw", _raw(""), "refused"),
@@ -163,10 +165,8 @@ VOLUMES: Mapping[str, tuple[str, Write, Expected]] = {
     "a folder of one slice": ("odd", _folder(lambda v: v[0]), "refused"),
     "slices of two sizes": ("odd", _folder(lambda v: v[0], lambda v: v[0, :20]), "refused"),
     "slices of two types": ("odd", _folder(lambda v: v[0], lambda v: v[0].astype(np.uint16)), "refused"),
-    "DICOM, ITK not installed, or damaged": ("odd.dcm", lambda p, v: p.with_suffix(".dcm").write_bytes(bytes(900)),
-                                             "refused"),
-    "NRRD, ITK not installed, or damaged": ("odd.nrrd", lambda p, v: p.with_suffix(".nrrd").write_bytes(b"NRRD0004\n"),
-                                            "refused"),
+    "DICOM, ITK not installed, or damaged": ("odd.dcm", _bytes(".dcm", bytes(900)), "refused"),
+    "NRRD, ITK not installed, or damaged": ("odd.nrrd", _bytes(".nrrd", b"NRRD0004\n"), "refused"),
 }
 OF_SIZE, OF_SIDECAR = 2, 5
 """Lines on a volume of another size, and on a sidecar: one for each of its keys."""

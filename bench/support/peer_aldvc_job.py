@@ -51,8 +51,8 @@ def main(argument: str) -> None:
     seconds = time.process_time() - start
     frame, points = found.result_disp[0], found.dvc_mesh.coordinates
     np.savez(task["field"], points=points, displacement=frame.U)
-    print(json.dumps({"cpu_seconds": seconds, "package": "al-dvc", "version": version("al-dvc"), "n_points": len(points),
-                      "n_unusable": int((frame.status != STATUS_CONVERGED).sum())}))
+    print(json.dumps({"cpu_seconds": seconds, "package": "al-dvc", "version": version("al-dvc"),
+                      "n_points": len(points), "n_unusable": int((frame.status != STATUS_CONVERGED).sum())}))
 
 
 main(sys.argv[1])

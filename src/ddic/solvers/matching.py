@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.polynomial import chebyshev, polynomial
 from petsc4py import PETSc
 from scipy import sparse
 
@@ -197,6 +196,6 @@ def find_polynomial(extension: float) -> Array:
         of_inside = ROUGH / (1 - mass + ROUGH / extension)
         return np.asarray(1 / np.sqrt(mass + 2 * of_inside))
 
-    # Of degree DEGREE through as many values and one more, where Chebyshev's polynomial is zero.
-    masses = (chebyshev.chebpts1(DEGREE + 1) + 1) / 2
-    return polynomial.polyfit(masses, find_inverse_root(masses), DEGREE)
+    # Through as many values as it has coefficients, where Chebyshev's polynomial of the next degree is zero.
+    masses = (1 + np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))) / 2
+    return np.linalg.solve(np.vander(masses, increasing=True), find_inverse_root(masses))
