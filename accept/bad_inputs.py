@@ -38,8 +38,9 @@ SHOWN = 5
 
 
 def list_bad_inputs() -> list[Trial]:
-    """List all kinds of bad input."""
-    return [*list_schema_trials(), *list_file_trials(), *list_result_trials(), *list_command_trials()]
+    """List all kinds of bad input; those of volumes are a list of their own."""
+    of_keys = [trial for trial in list_schema_trials() if not trial.name.startswith("volumes")]
+    return [*of_keys, *list_file_trials(), *list_result_trials(), *list_command_trials()]
 
 
 def choose_sample(trials: Sequence[Trial], n_chosen: int) -> list[Trial]:

@@ -209,7 +209,7 @@ def measure_equality(scale: Scale) -> list[Row]:
     write_mesh(folder / "boxes.vtu", grid)
     rows = []
     for cells in ("boxes", "tetrahedra"):
-        text = (f'[volumes]\nreference = "reference.tif"\ndeformed = "deformed.tif"\nreference_mask = "mask.tif"\n'
+        text = (f'[volumes]\nreference = "reference.tif"\ndeformed = "deformed.tif"\nmask = "mask.tif"\n'
                 f'[mesh]\nfile = "{cells}.vtu"\n{_cut_off(EQUAL_WAVELENGTH)}')
 
         def measure(solver: str, n_ranks: int, text: str = text) -> Array:

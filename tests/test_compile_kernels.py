@@ -5,14 +5,19 @@ from __future__ import annotations
 import os
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 import tifffile
 
+from ddic.io.mesh_file import write_mesh
 from support.cases import write_case, write_images
 from support.commands import ddic, finished
+from support.random_meshes import box_mesh
+from support.volumes import make_pair
 
 pytestmark = pytest.mark.program
 
@@ -59,8 +64,19 @@ print("not kept:", [name for name, k in called.items() if k.stats.cache_path is 
 """
 
 
+OF_VOLUMES = """
+[volumes]
+reference = "before.tif"
+deformed = "after.tif"
+[mesh]
+file = "tetrahedra.vtu"
+[output]
+file = "volume.vtkhdf"
+"""
+
+
 def _cases(folder: Path) -> list[Path]:
-    """A TIFF pair on Q4, and a PNG pair on triangles around a hole, without the saturated pixels."""
+    """A TIFF pair on Q4, a PNG pair on triangles around a hole without the saturated pixels, volumes on tetrahedra."""
     write_images(folder)
     for name in ("f", "g"):
         cv2.imwrite(str(folder / f"{name}.png"), tifffile.imread(folder / f"{name}.tif"))
@@ -68,7 +84,13 @@ def _cases(folder: Path) -> list[Path]:
     second = folder / "png.toml"
     text = first.read_text().replace(".tif", ".png").replace("[images]", "[images]\nexclude_saturated = true")
     second.write_text(text.replace("element_size", TRIANGLES + "element_size") + '[output]\nfile = "p.vtkhdf"\n')
-    return [first, second]
+    for name, values in zip(("before", "after"), make_pair(40), strict=True):
+        tifffile.imwrite(folder / f"{name}.tif", values.round().clip(0, 255).astype(np.uint8))
+    mesh = box_mesh(0, "Tet4", (4, 3, 3), 0.0)
+    write_mesh(folder / "tetrahedra.vtu", replace(mesh, nodes=mesh.nodes + 12.0))
+    third = folder / "volumes.toml"
+    third.write_text(OF_VOLUMES)
+    return [first, second, third]
 
 
 def test_runs_of_other_cases_compile_nothing_more(tmp_path: Path) -> None:

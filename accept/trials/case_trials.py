@@ -17,7 +17,7 @@ import click
 from pydantic import BaseModel
 
 from accept.inputs_and_outputs import FULL, NULL, make_device
-from accept.trials.trial import CASE_FILE, NEAR, OF_SECTION, PAIR, Edit, Keys, Raw, Trial, change
+from accept.trials.trial import CASE_FILE, NEAR, OF_SECTION, PAIR, VOLUME, Edit, Keys, Raw, Trial, change
 from ddic.case.schema import Case, find_section_in
 from ddic.cli.app import COMMANDS, command_line
 
@@ -200,6 +200,8 @@ BESIDE: Mapping[Keys, Mapping[str, Any]] = {
     ("regularization", "eta"): {"regularization": {}},
     ("images", "pixel_size"): {"images": {**PAIR["images"], "length_unit": "mm"}},
     ("images", "length_unit"): {"images": {**PAIR["images"], "pixel_size": 0.1}},
+    ("volumes", "voxel_size"): {"volumes": {**VOLUME["volumes"], "length_unit": "mm"}},
+    ("volumes", "length_unit"): {"volumes": {**VOLUME["volumes"], "voxel_size": 0.1}},
     ("images", "saturation"): {"images": {**PAIR["images"], "exclude_saturated": True}},
     ("mesh", "file"): {"mesh": {}},
     **{("mesh", kind, *keys): {"mesh": {kind: {"region": region, "element_size": 16}}}

@@ -21,7 +21,7 @@ Voxels = NDArray[Any]
 Write = Callable[[Path, Voxels], None]
 """Writes something beside the name that a case gives, from the voxels of the good volume."""
 
-NOT_OF_VOLUMES = ("near", "discontinuity", "pgd", "series", "mesh.unstructured", "images.frame_rate")
+NOT_OF_VOLUMES = ("images", "near", "discontinuity", "pgd", "mesh.unstructured")
 """Where names of trials begin that have no counterpart."""
 
 FILES = {"reference.tif": "volume_reference.tif", "deformed.tif": "volume_deformed.tif", "mask.png": "volume_mask.tif",
@@ -174,9 +174,9 @@ OF_SIZE, OF_SIDECAR = 2, 5
 
 def _list_files() -> Iterator[Trial]:
     for key, good in (("reference", "volume_reference.tif"), ("deformed", "volume_deformed.tif"),
-                      ("reference_mask", "volume_mask.tif")):
+                      ("mask", "volume_mask.tif")):
         for name, (path, write, expected) in VOLUMES.items():
-            may_be = key == "reference_mask" and name.startswith(("of ", "with ", "signed"))
+            may_be = key == "mask" and name.startswith(("of ", "with ", "signed"))
             yield Trial(f"volumes.{key} is {name}", change(VOLUME, ("volumes", key), path),
                         (partial(_write, good, write),), expected="may fail" if may_be else expected,
                         n_mistakes=OF_SIDECAR if "sidecar" in name else OF_SIZE)

@@ -1,4 +1,4 @@
-"""``python -m ddic.compile_kernels``: compile the pixel kernels into numba's cache, so that no run has to."""
+"""``python -m ddic.compile_kernels``: compile pixel and voxel kernels into numba's cache, so that no run has to."""
 
 import os
 import sys
@@ -7,21 +7,23 @@ import time
 from itertools import product
 from pathlib import Path
 
-SIDE = 128
-"""Side of the images, pixels: enough for a mesh and for the pyramid's coarsest level."""
+SIDES = {2: 128, 3: 48}
+"""Side of images and volumes, pixels: enough for a mesh and for the pyramid's coarsest level."""
+
+MASKS = {2: 'reference_mask = "mask.tif"\ndeformed_mask = "mask.tif"', 3: 'mask = "mask.tif"'}
 
 CASE = """
-[images]
+[{imaging}]
 reference = "reference.tif"
 deformed = "deformed.tif"
 {mask}
 [mesh.structured]
-region = [16, 16, 112, 112]
-element_size = 16
+region = {region}
+element_size = 8
 [correlation]
 spline_degree = {degree}
 [regularization]
-cut_off_wavelength = 64
+cut_off_wavelength = 16
 [solver]
 subdomains = 2
 """
@@ -33,9 +35,10 @@ def compile_kernels() -> None:
 
     petsc4py.init(["ddic"])
     import cv2
+    import numpy as np
 
+    from ddic.mesh.grid import GridLines
     from ddic.mesh.interpolation import interpolate
-    from ddic.mesh.structured import build_structured_mesh
     from ddic.methods.run import run_case
     from ddic.parallel.team import Team
     from ddic.results.listener import Silence
@@ -44,28 +47,32 @@ def compile_kernels() -> None:
     team = Team.alone()
     with tempfile.TemporaryDirectory(prefix="ddic-kernels-") as name:
         folder = Path(name)
-        for bit_depth in (8, 16, 32):
-            _write_images(folder, bit_depth)
-            for degree, mask in product((3, 5), ("", 'reference_mask = "mask.tif"\ndeformed_mask = "mask.tif"')):
+        for dim, bit_depth in product(SIDES, (8, 16, 32)):
+            _write_images(folder, dim, bit_depth)
+            for degree, mask in product((3, 5) if dim == 2 else (3,), ("", MASKS[dim])):
+                region = [8] * dim + [SIDES[dim] - 8] * dim
                 case = folder / "case.toml"
-                case.write_text(CASE.format(degree=degree, mask=mask), encoding="utf-8")
+                case.write_text(CASE.format(imaging="images" if dim == 2 else "volumes", region=region, degree=degree,
+                                            mask=mask), encoding="utf-8")
                 run_case(team, case, Silence())
-    mesh = build_structured_mesh((0, 0, SIDE, SIDE), SIDE / 2)
-    interpolate(mesh, mesh.nodes, mesh.centroids)
+    for dim in SIDES:
+        mesh = GridLines((np.arange(3.0),) * dim).build_mesh()
+        interpolate(mesh, mesh.nodes, mesh.centroids)
 
 
-def _write_images(folder: Path, bit_depth: int) -> None:
+def _write_images(folder: Path, dim: int, bit_depth: int) -> None:
     import numpy as np
     import tifffile
 
-    from ddic.synth.fields import Sinusoidal
+    from ddic.synth.fields import Affine
     from ddic.synth.render import Digitiser, Picture, Scene, render_pair
     from ddic.synth.speckle import SpeckleTexture
 
-    field = Sinusoidal((0.3, -0.2), (0.5, 0.4), (256.0, 320.0), (320.0, 256.0))
-    pair = render_pair(Scene(SpeckleTexture(3), field), Picture(SIDE, SIDE, Digitiser(bit_depth)))
-    mask = np.ones((SIDE, SIDE), np.uint8)
-    mask[60:64, 60:64] = 0
+    side, sizes = SIDES[dim], (SIDES[dim],) * dim
+    field = Affine(tuple(map(tuple, 0.004 * np.eye(dim))), (0.3,) * dim, (side / 2,) * dim)
+    pair = render_pair(Scene(SpeckleTexture(3), field), Picture(side, side, Digitiser(bit_depth), *sizes[2:]))
+    mask = np.ones(sizes, np.uint8)
+    mask[20:24, 20:24] = 0
     for name, values in (("reference", pair.reference), ("deformed", pair.deformed), ("mask", mask)):
         tifffile.imwrite(folder / f"{name}.tif", values)
 

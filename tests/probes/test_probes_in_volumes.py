@@ -25,12 +25,12 @@ from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.probes.probes import KINDS, format_probe, list_samples, parse_probe, parse_probes
 from probes.conftest import MakeResult
+from support.random_meshes import WAYS
 
 Array = NDArray[np.float64]
 # Six strain components that are all different, xz and yz too, and a rotation.
 GRADIENT = np.array([[0.004, -0.002, 0.007], [0.001, -0.003, 0.002], [0.005, -0.009, 0.006]])
 SHIFT = np.array([1.3, -0.4, 2.2])
-WAYS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
 CENTRE = (41.3, 38.1, 35.7)
 
 

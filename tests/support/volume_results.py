@@ -15,6 +15,7 @@ from ddic.io.result_writer import ResultWriter
 from ddic.mesh.cell_type import TET4
 from ddic.mesh.mesh import Mesh, build_mesh
 from ddic.mesh.structured import build_grid_lines
+from support.random_meshes import WAYS
 from support.residual_images import write_residual_image
 
 BOX = (6.0, 8.0, 10.0, 54.0, 40.0, 34.0)
@@ -22,9 +23,6 @@ BOX = (6.0, 8.0, 10.0, 54.0, 40.0, 34.0)
 
 SIZES = (60, 50, 45)
 """Voxels of the volume along x, y and z."""
-
-WAYS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
-"""Six tetrahedra of a cube, one for each way from corner 0 to corner 6 along edges."""
 
 HOLE = np.array([[22.0, 16.0, 18.0], [30.0, 24.0, 26.0]])
 """Opposite corners of a cube that is no part of the mesh."""
