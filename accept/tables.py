@@ -144,6 +144,7 @@ TABLES: dict[str, dict[str, str]] = {
         "huge": "volumes.measure_huge",
         "peers": "volumes.measure_peers",
         "bad_inputs": "volumes.measure_bad_inputs",
+        "source": "volumes.measure_source",
     },
     "papers": {
         "found_lines": "found_lines.measure_found_lines",

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from accept.accuracy import ELEMENT, error_rms
 from accept.bad_inputs import try_kinds
+from accept.source_rules import SOURCE, count_code
 from accept.table import Scale
 from accept.trials.volume_trials import list_volume_trials
 from bench import interface_solvers, large_volumes, volume_kernels, volume_peers
+from bench.support.before import checkout_before
 from bench.support.rows import Row, append_result
 from bench.support.runs import ddic_run, images, real_data
 from bench.support.tiled_texture import CELL
@@ -291,6 +293,18 @@ def measure_peers(scale: Scale) -> list[Row]:
     summary = ddic_run(write_case(folder, (64, MARGIN), ELEMENT), folder, 1)
     return [Row("al-dvc and spam: ddic alone", "runs", f"{sum(summary['cpu_seconds'].values()):.1f} CPU s", True,
                 judged_small=False)]
+
+
+MOST_MORE, BEFORE = 3000, "e96c963b"
+"""Lines of code in src/ that volumes may need, more than the commit before them has."""
+
+
+def measure_source(scale: Scale) -> list[Row]:
+    """Count what volumes added to the source."""
+    del scale
+    more = count_code(SOURCE) - count_code(checkout_before(BEFORE) / "src")
+    return [Row("lines of code in src/ more than before volumes", f"at most {MOST_MORE}", str(more),
+                more <= MOST_MORE)]
 
 
 FEWEST_KINDS = 400

@@ -125,11 +125,11 @@ class Raster:
         """
         is_counted = np.issubdtype(image.dtype, np.integer)
         sums = np.zeros(len(self.n_rows), dtype=np.int64 if is_counted else np.float64)
-        runs = self.row_ptr, self.starts, self.stops, sums
-        if len(window.sizes) == 2:
-            _add_up_pixels(image, window.x0, window.y0, self.first_row, *runs)
-        else:
-            _add_up_voxels(image, window.lower, self.first_rows, self.n_rows, *runs)
+        # An image is the only plane of a volume.
+        missing = (0, 0), (0, 3 - image.ndim)
+        first_rows, n_rows = np.pad(self.first_rows, missing), np.pad(self.n_rows, missing, constant_values=1)
+        _add_up(image[(None,) * (3 - image.ndim)], (*window.lower, 0)[:3], first_rows, n_rows, self.row_ptr,
+                self.starts, self.stops, sums)
         return sums
 
 
@@ -309,8 +309,8 @@ def _fill_volume_runs(nodes, triangles, ends, first_rows, n_rows, row_ptr, start
 
 
 @numba.njit(cache=True)
-def _add_up_voxels(image, lower, first_rows, n_rows, row_ptr, starts, stops, sums):  # type: ignore[no-untyped-def]
-    """Add each cell's voxels of an image to its sum."""
+def _add_up(image, lower, first_rows, n_rows, row_ptr, starts, stops, sums):  # type: ignore[no-untyped-def]
+    """Add each cell's pixels of an image, (depth, height, width), to its sum."""
     depth, height, width = image.shape
     for e in range(len(first_rows)):
         total = sums[e]
@@ -321,20 +321,6 @@ def _add_up_voxels(image, lower, first_rows, n_rows, row_ptr, starts, stops, sum
             if 0 <= y < height and 0 <= z < depth:
                 for x in range(max(starts[r] - lower[0], 0), min(stops[r] - lower[0], width)):
                     total += image[z, y, x]
-        sums[e] = total
-
-
-@numba.njit(cache=True)
-def _add_up_pixels(image, x0, y0, first_row, row_ptr, starts, stops, sums):  # type: ignore[no-untyped-def]
-    """Add each cell's pixels of an image to its sum."""
-    height, width = image.shape
-    for e in range(len(first_row)):
-        top = first_row[e] - y0 - row_ptr[e]
-        total = sums[e]
-        for r in range(row_ptr[e], row_ptr[e + 1]):
-            if 0 <= top + r < height:
-                for x in range(max(starts[r] - x0, 0), min(stops[r] - x0, width)):
-                    total += image[top + r, x]
         sums[e] = total
 
 
