@@ -291,8 +291,7 @@ def measure_frame_code(scale: Scale) -> list[Row]:
 
 
 def _count_packages(source: Path, packages: Sequence[str]) -> dict[str, int]:
-    return {name: count_code(source / name)
-            for name in packages}
+    return {name: count_code(source / name) for name in packages}
 
 
 def count_code(source: Path) -> int:

@@ -63,7 +63,7 @@ NEWTON_STEPS, CLOSE = 8, 1e-4
 """Most steps towards local coordinates, and the step after which the next one would be below float32's rounding."""
 
 
-class Cells(NamedTuple):
+class _Cells(NamedTuple):
     """Cells of a mesh and the voxels of each.
 
     Attributes
@@ -646,7 +646,7 @@ def _visit(cells, displacement, reference, deformed, sums, correction, out):
             sums.grey[e, k] += _total_at(scratch.grey, k)
 
 
-def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
+def _residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
     """Accumulate, per cell, moments of the residual against grad f and the monomials, and plain sums.
 
     ``displacement`` holds the coefficients of u on the monomials, (n_cells, 3, n_monomials), voxels; ``deformed`` is a
@@ -657,10 +657,10 @@ def residual_sums(cells, displacement, reference, deformed, all_kinds, sums):
     _visit(cells, displacement, reference, deformed, sums._replace(moments=moments), _NO_CORRECTION, _NO_VOLUME)
 
 
-def fill_residual_pixels(cells, displacement, reference, deformed, correction, out):
+def _fill_residual_pixels(cells, displacement, reference, deformed, correction, out):
     """Write f - gain g(x + u) - offset of all cells' voxels.
 
-    ``displacement`` and ``deformed`` are those of ``residual_sums``. ``correction`` are gain, and offset in grey
+    ``displacement`` and ``deformed`` are those of ``_residual_sums``. ``correction`` are gain, and offset in grey
     levels, of each cell, (2, n_cells). ``out`` has the reference box's shape, float32, grey levels; NaN where a cell's
     voxel does not count.
     """
@@ -773,7 +773,7 @@ def _combine_products(scratch, T, e, out):
 
 
 @numba.njit(**FLAGS)
-def hessian_cells(cells, shapes, reference, out):
+def _hessian_cells(cells, shapes, reference, out):
     """Assemble M_e = sum_vx N_a N_b grad f grad f^T of every cell, Eq. 7 of [BP17].
 
     ``out`` is (n_cells, n_monomials, 3, n_monomials, 3) by a, component, b, component; grey levels squared per voxel
@@ -806,13 +806,13 @@ def hessian_cells(cells, shapes, reference, out):
 _NOTHING_EXCLUDED = np.zeros((0, 0, 0), dtype=np.uint8)
 
 
-def convert_reference(f: GradientImage) -> ReferenceVoxels:
+def _convert_reference(f: GradientImage) -> ReferenceVoxels:
     """Convert a box of the reference volume; its arrays are not copied."""
     return ReferenceVoxels(flatten(f.values), *_describe_layout(f.values, f.window.grow(f.margin)),
                            _NOTHING_EXCLUDED if f.usable is None else f.usable, np.array(f.window.lower))
 
 
-def convert_deformed(g: SplineImage, extent: Window) -> DeformedVoxels:
+def _convert_deformed(g: SplineImage, extent: Window) -> DeformedVoxels:
     """Convert a box of the deformed volume, ``extent`` being the whole one; its arrays are not copied."""
     layout = _describe_layout(g.coefficients, g.window.grow(PADDING[volume.DEGREE]))
     return DeformedVoxels(flatten(g.coefficients), *layout, g.scale, g.offset,
@@ -827,15 +827,15 @@ def _describe_layout(values: NDArray[Any], box: Window) -> tuple[int, int, int]:
     return row_length, plane_length, -(z * plane_length + y * row_length + x)
 
 
-def take_cells(order: IntArray, interpolation: CellInterpolation, raster: Raster) -> Cells:
+def _take_cells(order: IntArray, interpolation: CellInterpolation, raster: Raster) -> _Cells:
     """Take cells as kernels do, in the order of visiting."""
     # Shape functions without a mixed term are those of tetrahedra.
     is_mixed = interpolation.shapes[:, :, 4:].any(axis=(1, 2))
     n_monomials = np.where(is_mixed, 8, 4)[interpolation.kinds]
-    return Cells(order, interpolation.geometry, n_monomials, raster.first_rows, raster.n_rows, raster.row_ptr,
+    return _Cells(order, interpolation.geometry, n_monomials, raster.first_rows, raster.n_rows, raster.row_ptr,
                  raster.starts, raster.stops)
 
 
-COMPILED = PixelKernels(hessian_cells, residual_sums, fill_residual_pixels, convert_reference, convert_deformed,
-                        take_cells)
+COMPILED = PixelKernels(_hessian_cells, _residual_sums, _fill_residual_pixels, _convert_reference, _convert_deformed,
+                        _take_cells)
 """Of tetrahedra and hexahedra."""
