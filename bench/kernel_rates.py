@@ -67,7 +67,7 @@ def mixed_mesh(side: int) -> Mesh:
         low, high = MARGIN + 0.3, MARGIN + side - 0.4
         middle = MARGIN + side / 2
         write_unstructured_mesh(path, (low, low, high, high), 15.0, ((middle, middle), side / 8))
-    return read_mesh(path, Similarity())
+    return read_mesh(path, Similarity(), 2)
 
 
 PROBLEMS = {

@@ -89,7 +89,7 @@ def mixed_mesh(size: int) -> Mesh:
         path.parent.mkdir(parents=True, exist_ok=True)
         low, high = MARGIN + 0.3, size - MARGIN - 0.4
         write_unstructured_mesh(path, (low, low, high, high), 15.0, ((size / 2, size / 2), size / 8))
-    return read_mesh(path, Similarity())
+    return read_mesh(path, Similarity(), 2)
 
 
 def build_problem(kind: Kind, size: int) -> Problem:

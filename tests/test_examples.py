@@ -406,6 +406,15 @@ def test_large_motion(tmp_path: Path) -> None:
     assert rms < 0.01
 
 
+def test_volume(tmp_path: Path) -> None:
+    zz, xz, rms, _, regularized = run_script("volume", tmp_path)
+    # 343 nodes, of which noise moves each by some hundredths of a voxel.
+    assert zz == pytest.approx(0.010, abs=5e-4)
+    assert xz == pytest.approx(0.002, abs=5e-4)
+    assert rms < 0.02
+    assert regularized < rms
+
+
 @pytest.mark.parametrize(("method", "ranks"), [("dual", 2), ("assembled", 2), ("monolithic", 0)])
 def test_integrated_dic(tmp_path: Path, method: str, ranks: int) -> None:
     _, _, error = run_script("integrated_dic", tmp_path, method, ranks=ranks)

@@ -121,17 +121,21 @@ NO_UTF8 = "\udcff"
 """A byte that is no UTF-8, as Python has it among a command's arguments."""
 
 
-def list_command_trials() -> list[Trial]:
-    """List bad values of every option, and bad, missing and spare arguments, of every command."""
-    trials = [trial for name in COMMANDS for trial in _of_command(name)]
+def list_command_trials(good: Mapping[str, tuple[str, ...]] | None = None) -> list[Trial]:
+    """List bad values of every option, and bad, missing and spare arguments, of every command, or of some.
+
+    ``good`` are their arguments with which they succeed; by default those of all commands.
+    """
+    if good is not None:
+        return [trial for name, words in good.items() for trial in _of_command(name, words)]
+    trials = [trial for name in COMMANDS for trial in _of_command(name, GOOD.get(name, ()))]
     unknown = [_command_trial((word,)) for word in ("nonsense", "--nonsense", "ru")]
     return [*trials, _command_trial((), "ends"), *unknown]
 
 
-def _of_command(name: str) -> Iterator[Trial]:
+def _of_command(name: str, good: tuple[str, ...]) -> Iterator[Trial]:
     command = command_line.get_command(click.Context(command_line), name)
     assert command is not None
-    good = GOOD.get(name, ())
     if isinstance(command, click.Group):
         yield from (_command_trial((name, inner), "ends") for inner in (*command.commands, "nonsense"))
         command = command.commands[good[0]]

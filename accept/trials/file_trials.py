@@ -41,7 +41,7 @@ LARGE_PNG, LARGE_TIFF = 30_000, 100_000
 
 def list_file_trials() -> list[Trial]:
     """List files that are wrong in themselves, or do not go with the others."""
-    return [*_list_images(), *_list_meshes(), *_list_texts(), *_list_case_files()]
+    return [*_list_images(), *_list_meshes(), *list_text_trials(), *_list_case_files()]
 
 
 def list_large_images() -> list[Trial]:
@@ -342,7 +342,8 @@ MAPPINGS: Mapping[str, str] = {
 }
 
 
-def _list_texts() -> Iterator[Trial]:
+def list_text_trials() -> Iterator[Trial]:
+    """List partitions, displacements at points, and mappings."""
     of_points = change(PAIR, ("start", "from_points"), "odd.csv")
     of_mapping = change(NEAR, ("near", "mapping_file"), "odd.toml")
     for case, file, texts in ((OF_PARTITION, "odd.txt", PARTITIONS), (of_points, "odd.csv", POINTS),

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from accept.trials.trial import CASE_FILE, PAIR, Trial, change
+from accept.trials.trial import CASE_FILE, PAIR, VOLUME, Trial, change
 
 ODD = "odd.vtkhdf"
 GRID = ("Points", "Types", "Offsets", "Connectivity", "NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds")
@@ -38,6 +38,8 @@ PLACES: Mapping[str, tuple[str, ...]] = {
     "pair": OF_PAIR, "pgd": OF_PGD, "series": OF_SERIES,
     "cut": ("VTKHDF/Points", "VTKHDF/PointData/displacement"),
     "regularized": ("history/krylov/0001", "VTKHDF/PointData/GlobalNodeId"),
+    "volume": ("VTKHDF/Points", "VTKHDF/Types", "VTKHDF/Connectivity", "VTKHDF/PointData/displacement",
+               "VTKHDF/PointData/nodal_strain_hencky", "residual_image/residual"),
 }
 """Groups and datasets by the result that has them, which one after the other are damaged."""
 
@@ -142,13 +144,15 @@ def _find_largest(dtype: np.dtype[Any]) -> float | int:
 def _trial(title: str, name: str, edit: Callable[[Path], None]) -> Trial:
     start = {"from_result": ODD, **({"frame": 1} if name == "series" else {})}
     frame = OF_FRAME if name == "series" else ()
-    looks = [(command, ODD, *OPTIONS.get(command, ()), *(frame if command != "probe" else ())) for command in LOOKS]
+    options = {**OPTIONS, "probe": ("--point", "16,16,16")} if name == "volume" else OPTIONS
+    looks = [(command, ODD, *options.get(command, ()), *(frame if command != "probe" else ())) for command in LOOKS]
     if name == "series":
         looks += [("info", ODD), ("plot", ODD, "--output", "curves")]
     if name == "cut":
         looks += [("opening", ODD), ("crack", ODD)]
     commands = (("check", CASE_FILE), ("run", CASE_FILE), *looks)
-    return Trial(title, change(PAIR, ("start",), start), (edit,), commands, expected="refused or measured")
+    case = VOLUME if name == "volume" else PAIR
+    return Trial(title, change(case, ("start",), start), (edit,), commands, expected="refused or measured")
 
 
 def _copy(name: str, folder: Path) -> Path:

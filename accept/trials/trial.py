@@ -213,7 +213,7 @@ def _write_mesh(folder: Path) -> None:
 
 
 def _write_volumes(folder: Path) -> None:
-    """A pair of volumes with a mask, a mesh file of 3 x 3 x 3 boxes, a partition of it, and points to start from."""
+    """A pair of volumes with a mask, a mesh file of 4 x 4 x 1 boxes, a partition of it, and points to start from."""
     size = "x".join([str(VOLUME_SIDE)] * 3)
     other = folder / "other"
     ddic("synth", "translation", "--vector", "1.3", "-0.7", "0.4", "--size", size, "--seed", "3", "--noise", "1",
@@ -224,9 +224,11 @@ def _write_volumes(folder: Path) -> None:
     mask = np.full((VOLUME_SIDE,) * 3, 255, np.uint8)
     mask[:2] = 0
     tifffile.imwrite(folder / "volume_mask.tif", mask)
-    grid = GridLines((np.linspace(BOX[0], BOX[3], 4),) * 3).build_mesh()
-    write_mesh(folder / "volume_mesh.msh", grid)
-    (folder / "volume_partition.txt").write_text("\n".join(str(number // 14) for number in range(grid.n_cells)) + "\n")
+    # As many cells as the mesh file of images has, so that partitions of both are alike.
+    lines = np.linspace(BOX[0], BOX[3], 5)
+    grid = GridLines((lines, lines, lines[[0, -1]])).build_mesh()
+    write_mesh(folder / "volume_mesh.vtu", grid)
+    (folder / "volume_partition.txt").write_bytes((folder / "partition.txt").read_bytes())
     (folder / "volume_points.csv").write_text("x,y,z,u,v,w\n" + "".join(
         f"{place},1.3,-0.7,0.4\n" for place in ("6,6,6", "26,6,8", "8,26,6", "6,8,26")))
 

@@ -14,25 +14,51 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from accept.trials.case_trials import list_schema_trials
+from accept.trials.case_trials import list_command_trials, list_schema_trials
+from accept.trials.file_trials import list_text_trials
 from accept.trials.trial import BOX, PAIR, VOLUME, Expected, Trial, change
 
 Voxels = NDArray[Any]
 Write = Callable[[Path, Voxels], None]
 """Writes something beside the name that a case gives, from the voxels of the good volume."""
 
-NOT_OF_VOLUMES = ("images", "near", "discontinuity", "pgd", "mesh.unstructured")
+NOT_OF_VOLUMES = ("images", "near", "discontinuity", "pgd", "mesh.unstructured", "odd.csv", "odd.toml", "line ")
 """Where names of trials begin that have no counterpart."""
 
 FILES = {"reference.tif": "volume_reference.tif", "deformed.tif": "volume_deformed.tif", "mask.png": "volume_mask.tif",
-         "mesh.msh": "volume_mesh.msh", "points.csv": "volume_points.csv", "partition.txt": "volume_partition.txt"}
+         "mesh.msh": "volume_mesh.vtu", "points.csv": "volume_points.csv", "partition.txt": "volume_partition.txt"}
 """Good files of volumes by those of images."""
+
+
+GOOD: Mapping[str, tuple[str, ...]] = {
+    "plot": ("earlier.volume.vtkhdf", "--kind", "residual"), "probe": ("earlier.volume.vtkhdf", "--point", "16,16,16"),
+    "export": ("earlier.volume.vtkhdf",), "report": ("earlier.volume.vtkhdf",), "info": ("earlier.volume.vtkhdf",),
+}
+"""Arguments with which commands succeed."""
+
+POINTS: Mapping[str, str] = {
+    "empty": "", "of images": "x,y,u,v\n16,16,1,1\n", "with a header alone": "x,y,z,u,v,w\n",
+    "of nan": "x,y,z,u,v,w\nnan,16,16,1,1,1\n", "ragged": "x,y,z,u,v,w\n16,16,16,1,1\n",
+    "outside": "x,y,z,u,v,w\n16,16,9999,1,1,1\n", "of words": "x,y,z,u,v,w\na,b,c,d,e,f\n",
+}
+
+
+def _list_points() -> Iterator[Trial]:
+    for name, text in POINTS.items():
+        yield Trial(f"of volumes: points are {name}", change(VOLUME, ("start", "from_points"), "odd.csv"),
+                    (partial(_write_text, text),), expected="refused")
+
+
+def _write_text(text: str, folder: Path) -> None:
+    (folder / "odd.csv").write_text(text, encoding="utf-8")
 
 
 def list_volume_trials() -> list[Trial]:
     """List all kinds."""
-    of_keys = (_to_volume(trial) for trial in list_schema_trials() if not trial.name.startswith(NOT_OF_VOLUMES))
-    return [*of_keys, *_list_files(), *_list_meshes(), *_list_mistaken()]
+    of_images = [*list_schema_trials(), *list_text_trials()]
+    alike = (_to_volume(trial) for trial in of_images if not trial.name.startswith(NOT_OF_VOLUMES))
+    of_commands = (replace(trial, case=VOLUME) for trial in list_command_trials(GOOD))
+    return [*alike, *_list_files(), *_list_meshes(), *_list_points(), *_list_mistaken(), *of_commands]
 
 
 def _to_volume(trial: Trial) -> Trial:
@@ -246,6 +272,7 @@ def _list_mistaken() -> Iterator[Trial]:
     for name, sections in beside.items():
         case = {key: value for key, value in {**VOLUME, **sections}.items() if value is not None}
         yield Trial(f"volumes beside {name}", case, expected="refused", n_mistakes=3)
-    for command in (("view", "case.toml"), ("draw", "case.toml"), ("uncertainty", "case.toml")):
+    for command in (("view", "earlier.volume.vtkhdf"), ("draw", "volume_reference.tif", "case.toml"),
+                    ("uncertainty", "case.toml")):
         yield Trial(f"ddic {command[0]} of volumes", VOLUME, commands=(command,), expected="refused")
     yield Trial("the case of volumes is good", {**VOLUME, "regularization": {"cut_off_wavelength": 32.0}})

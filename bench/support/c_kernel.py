@@ -66,7 +66,7 @@ def right_hand_side(library: ctypes.CDLL, part: Correlation, spline: SplineImage
     # The kernel takes float32 alone, and steps through values and slopes alike.
     values = np.ascontiguousarray(part.reference.values, dtype=np.float32)
     f = replace(part.reference, values=values, slopes=np.ascontiguousarray(part.reference.slopes))
-    of_cells: list[NDArray[Any]] = [part.order, geometry, u, r.first_row, r.row_ptr, r.starts, r.stops]
+    of_cells: list[NDArray[Any]] = [part.order, geometry, u, r.first_rows[:, 0], r.row_ptr, r.starts, r.stops]
     assert all(a.flags.c_contiguous for a in of_cells)
     cells = _Cells(len(part.order), *(a.ctypes.data for a in of_cells))
     reference = _image(values, f.window.x0, f.window.y0)

@@ -14,6 +14,7 @@ from ddic.solvers.step_costs import (
     CostConstants,
     Factor,
     Growth,
+    MatchingCosts,
     count_entries,
     count_operations,
     find_shared_boundary,
@@ -27,7 +28,7 @@ Measure = Callable[[Record], float]
 NEEDED = [(solver, ranks, is_regularized) for is_regularized in (False, True)
           for solver, ranks in (("cholmod", (1,)), ("assembled", (1,)), ("assembled", (2,)),
                                 ("conjugate_gradient", (1, 2)), ("scaled", (1, 2)))]
-NEEDED += [("two_level", (1, 2), True), ("matching", (1, 2), True)]
+NEEDED += [("two_level", (1, 2), True)]
 """Solver, numbers of ranks of which one will do, and whether with regularization."""
 
 
@@ -74,11 +75,7 @@ def fit_constants(records: Sequence[Record]) -> CostConstants:
         cg_product_calls=(products[1][1], products[1][2]),
         cg_iterations=_median(r["inexact_iterations"] for r in cg if not r["cut_off_wavelength"]),
         cg_iterations_by_square=_median(r["inexact_iterations"] / _cells(r)**2 for r in _regularized(cg)),
-        matching_set_up=_median(r["setup_cpu"] * r["n_ranks"] / r["n_dofs"] for r in matching),
-        matching_product=_median(r["inexact_cpu"] / max(r["inexact_iterations"], 1) * r["n_ranks"] / r["n_dofs"]
-                                 for r in matching),
-        matching_iterations=_median(r["inexact_iterations"] for r in matching),
-        matching_memory=_median(_memory(r) * r["n_ranks"] / r["n_dofs"] for r in matching),
+        matching=_fit_matching(matching) if matching else None,
     )
 
 
@@ -243,6 +240,16 @@ def _fit_coarse(scaled: Sequence[Record], two_level: Sequence[Record]) -> Growth
             rows.append((total, total * _operations(r)))
             values.append(max(r["interface_cpu"] - _median(same), 1e-3))
     return Growth(*_fit_pair(rows, values))
+
+
+def _fit_matching(matching: Sequence[Record]) -> MatchingCosts:
+    shares = [r["n_dofs"] / r["n_ranks"] for r in matching]
+    iterations = [max(r["inexact_iterations"], 1) for r in matching]
+    return MatchingCosts(
+        set_up=_median(r["setup_cpu"] / n for r, n in zip(matching, shares, strict=True)),
+        iteration=_median(r["inexact_cpu"] / k / n for r, k, n in zip(matching, iterations, shares, strict=True)),
+        n_iterations=_median(iterations),
+        memory=_median(_memory(r) / n for r, n in zip(matching, shares, strict=True)))
 
 
 def _fit_dual_product(records: Sequence[Record], local_solve: float) -> float:

@@ -87,7 +87,7 @@ class Laps:
 
 def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | None, laps: Laps,
            ) -> tuple[dict[str, Any], Values]:
-    """One linear step as ddic's own method solves it, dual on METIS subdomains or assembled."""
+    """One linear step as ddic's own method solves it, on METIS subdomains of squares and blocks of cubes."""
     count = max(round((problem.n / per_subdomain) ** problem.dim), 2) if per_subdomain else team.size
     along = round(problem.n / per_subdomain) if per_subdomain else 1
     blocks = (along,) * problem.dim if per_subdomain else (1,) * (problem.dim - 1) + (count,)

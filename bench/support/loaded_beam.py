@@ -134,7 +134,7 @@ def load_beam(beam: Beam, folder: Path) -> LoadedField:
     """
     path = folder / f"fine_{beam.mesh_file}"
     beam.write_mesh(path, ELEMENT / FINER)
-    mesh = read_mesh(path, Similarity())
+    mesh = read_mesh(path, Similarity(), 2)
     u = _solve(mesh, _load_ends(beam, mesh))
     x0, y0, x1, y1 = beam.region
     columns, rows = (round(SAMPLES * side / ELEMENT) for side in (x1 - x0, y1 - y0))

@@ -50,9 +50,10 @@ def main(argument: str) -> None:
     found = measured(task["folder"], task)
     seconds = time.process_time() - start
     frame, points = found.result_disp[0], found.dvc_mesh.coordinates
-    np.savez(task["field"], points=points, displacement=frame.U)
+    usable = frame.status.ravel() == STATUS_CONVERGED
+    np.savez(task["field"], points=points[usable], displacement=frame.U[usable])
     print(json.dumps({"cpu_seconds": seconds, "package": "al-dvc", "version": version("al-dvc"),
-                      "n_points": len(points), "n_unusable": int((frame.status != STATUS_CONVERGED).sum())}))
+                      "n_points": len(points), "n_unusable": int((~usable).sum())}))
 
 
 main(sys.argv[1])

@@ -108,17 +108,6 @@ def fill(typing_context, value):
 
 
 @intrinsic
-def fill_double(typing_context, value):
-    """A vector whose numbers are all one value, as float64."""
-
-    def generate(context, builder, signature, arguments):
-        number = context.cast(builder, arguments[0], signature.args[0], types.float64)
-        return _repeat(builder, number, Double.llvm)
-
-    return Double(value), generate
-
-
-@intrinsic
 def count(typing_context):
     """The vector 0, 1, 2 and so on."""
     return Single(), lambda *_: ir.Constant(Single.llvm, [float(k) for k in range(WIDTH)])
@@ -156,37 +145,10 @@ def sum_lanes(typing_context, vector):
     return (types.float64 if vector is Double else types.float32)(vector), generate
 
 
-def _reduce(vector, comparison):
-    """An intrinsic's two parts: the number that a comparison prefers to all others of a vector."""
-
-    def generate(context, builder, signature, arguments):
-        values, n = arguments[0], WIDTH
-        while n > 1:
-            n //= 2
-            lower, upper = _halve(builder, values, n)
-            values = builder.select(builder.fcmp_ordered(comparison, lower, upper), lower, upper)
-        return builder.extract_element(values, _INT32(0))
-
-    return types.float32(vector), generate
-
-
-@intrinsic
-def find_least(typing_context, vector):
-    """Least number of a vector, all of which are numbers."""
-    return _reduce(vector, "<")
-
-
-@intrinsic
-def find_most(typing_context, vector):
-    """Largest number of a vector, all of which are numbers."""
-    return _reduce(vector, ">")
-
-
 @intrinsic
 def take_first(typing_context, vector):
     """First number of a vector."""
-    number = types.float64 if vector is Double else types.float32
-    return number(vector), lambda context, builder, signature, arguments: builder.extract_element(
+    return types.float32(vector), lambda context, builder, signature, arguments: builder.extract_element(
         arguments[0], _INT32(0))
 
 
@@ -231,6 +193,6 @@ def _define(operation, instruction):
         return None
 
 
-for _operation, _instruction in ((operator.add, "fadd"), (operator.iadd, "fadd"), (operator.sub, "fsub"),
-                                 (operator.isub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
+for _operation, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"),
+                                 (operator.truediv, "fdiv")):
     _define(_operation, _instruction)

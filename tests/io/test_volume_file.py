@@ -29,7 +29,7 @@ from ddic.images.volume import read_coefficients, read_values
 from ddic.images.window import Window
 from ddic.io import image_formats, volume_file
 from ddic.io.input_file import FileStamps, list_parts, split_dataset
-from ddic.io.volume_file import Planes, VolumeFile, hold_source, open_mask, open_source, read_mask
+from ddic.io.volume_file import Planes, VolumeFile, hold_source, is_volume, open_mask, open_source, read_mask
 
 SHAPE = (7, 11, 13)
 """Planes, rows, columns."""
@@ -513,7 +513,9 @@ REFUSED_BY_EXTRAS: dict[str, tuple[str, Callable[[Path], Path], str]] = {
 
 
 def _with_ome_scale(folder: Path) -> Path:
-    scale = [{"path": "scan", "coordinateTransformations": [{"type": "scale", "scale": [3.0, 1.0, 1.0]}]}]
+    said = [{"type": "translation", "translation": [1.0, 1.0, 1.0]}, {"type": "scale", "scale": [3.0, 1.0, 1.0]}]
+    # Versions up to 0.3 say none.
+    scale = [{"path": "other"}, {"path": "scan", "coordinateTransformations": said}]
     (folder / "zarr.json").write_text(json.dumps({
         "zarr_format": 3, "node_type": "group", "attributes": {"ome": {"multiscales": [{"datasets": scale}]}}}))
     return folder
@@ -607,3 +609,12 @@ def test_stamps_tell_when_a_slice_or_a_sidecar_changes(tmp_path: Path) -> None:
     assert [line.split(": ")[0] for line in stamps.list_changes()] == [
         str(folder / "slice_7.tif"), str(tmp_path / "a.raw.toml")]
     assert len(stamps.choose([folder]).list_changes()) == 1
+
+
+def test_an_image_with_a_thumbnail_is_no_volume(tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "scan.tif") as writer:
+        for shape in ((40, 50), (8, 10)):
+            writer.write(np.zeros(shape, np.uint8), metadata=None)
+    assert not is_volume(tmp_path / "scan.tif")
+    tifffile.imwrite(tmp_path / "stack.tif", voxels())
+    assert is_volume(tmp_path / "stack.tif")

@@ -32,7 +32,7 @@ def _write(path: Path) -> Path:
 
 
 def test_mixed_cells_keep_the_order_of_the_file(tmp_path: Path) -> None:
-    mesh = read_mesh(_write(tmp_path / "a.vtu"), Similarity())
+    mesh = read_mesh(_write(tmp_path / "a.vtu"), Similarity(), 2)
     assert mesh.types.tolist() == [T3.vtk, Q4.vtk, T3.vtk]
     assert mesh.cells.tolist() == [[1, 2, 3, -1], [0, 1, 4, 5], [1, 3, 4, -1]]
     assert mesh.nodes.shape == (7, 2)
@@ -51,7 +51,7 @@ def test_physical_groups_become_node_sets(tmp_path: Path, file_format: str) -> N
                     "body": np.array([9, 2])},
         point_data={"gmsh:dim_tags": np.array([[1, 11], [2, 21], [1, 12], [2, 23], [0, 1], [1, 11], [2, 22]])})
     meshio.write(tmp_path / "a.msh", mesh, file_format=file_format, binary=False)
-    read = read_mesh(tmp_path / "a.msh", Similarity())
+    read = read_mesh(tmp_path / "a.msh", Similarity(), 2)
     found = {name: sorted(map(tuple, read.nodes[nodes])) for name, nodes in read.node_sets.items()}
     # The tags 1 of dimensions 0 and 1 are different groups. Format 4.1 numbers nodes by entity: compare places.
     assert found == {"left": [(0, 0), (0, 1)], "right": [(2, 0), (2, 1)], "pin": [(1, 1)]}
@@ -61,7 +61,7 @@ def test_abaqus_sets_become_node_sets(tmp_path: Path) -> None:
     path = tmp_path / "a.inp"
     path.write_text("*NODE\n1, 0., 0.\n2, 1., 0.\n3, 1., 1.\n4, 0., 1.\n*ELEMENT, TYPE=CPS4\n1, 1, 2, 3, 4\n"
                     "*NSET, NSET=grip\n1, 4\n")
-    mesh = read_mesh(path, Similarity())
+    mesh = read_mesh(path, Similarity(), 2)
     assert {name.lower(): nodes.tolist() for name, nodes in mesh.node_sets.items()} == {"grip": [0, 3]}
 
 
@@ -70,13 +70,13 @@ def test_cell_sets_of_lines_become_node_sets(tmp_path: Path) -> None:
     path.write_text("*NODE\n1, 0., 0.\n2, 1., 0.\n3, 1., 1.\n4, 0., 1.\n*ELEMENT, TYPE=CPS4, ELSET=body\n"
                     "1, 1, 2, 3, 4\n*ELEMENT, TYPE=T3D2, ELSET=edge\n2, 2, 3\n")
     assert len(meshio.read(path).cell_sets) == 2
-    mesh = read_mesh(path, Similarity())
+    mesh = read_mesh(path, Similarity(), 2)
     assert {name.lower(): nodes.tolist() for name, nodes in mesh.node_sets.items()} == {"edge": [1, 2]}
 
 
 def test_mapping_to_pixels(tmp_path: Path) -> None:
     mapping = Similarity(10.0, np.pi / 2, (100.0, 50.0))
-    mesh = read_mesh(_write(tmp_path / "a.vtu"), mapping)
+    mesh = read_mesh(_write(tmp_path / "a.vtu"), mapping, 2)
     # A quarter turn takes (2, 1) to (-1, 2); ten pixels per unit.
     np.testing.assert_allclose(mesh.nodes[3], [90.0, 70.0], atol=1e-12)
     assert mesh.mapping == mapping
@@ -90,7 +90,7 @@ def test_mapping_to_pixels(tmp_path: Path) -> None:
 def test_other_cells_are_refused(tmp_path: Path, cells: list[tuple[str, np.ndarray]], words: str) -> None:
     meshio.Mesh(POINTS, cells).write(tmp_path / "a.vtu")
     with pytest.raises(InputError, match=words):
-        read_mesh(tmp_path / "a.vtu", Similarity())
+        read_mesh(tmp_path / "a.vtu", Similarity(), 2)
 
 
 @pytest.mark.parametrize(("cells", "words"), [
@@ -116,7 +116,7 @@ def test_faces_name_node_sets_in_a_volume(tmp_path: Path) -> None:
 def test_mesh_that_is_not_plane_is_refused(tmp_path: Path) -> None:
     meshio.Mesh(POINTS, [("triangle", np.array([[0, 1, 6]]))]).write(tmp_path / "a.vtu")
     with pytest.raises(InputError, match="not plane: z varies by 5"):
-        read_mesh(tmp_path / "a.vtu", Similarity())
+        read_mesh(tmp_path / "a.vtu", Similarity(), 2)
 
 
 @pytest.mark.parametrize(("name", "content", "words"), [
@@ -129,14 +129,14 @@ def test_unreadable_files_are_refused_quietly(tmp_path: Path, capsys: pytest.Cap
                                               content: str, words: str) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=words) as caught:
-        read_mesh(tmp_path / name, Similarity())
+        read_mesh(tmp_path / name, Similarity(), 2)
     assert "\n" not in str(caught.value)
     assert capsys.readouterr() == ("", "")
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such mesh file"):
-        read_mesh(tmp_path / "a.msh", Similarity())
+        read_mesh(tmp_path / "a.msh", Similarity(), 2)
 
 
 WRITTEN = {
@@ -193,12 +193,12 @@ def test_a_set_that_abaqus_cannot_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'cannot name the node set "a,b"; write a .vtu file'):
         write_mesh(tmp_path / "mesh.inp", mesh)
     write_mesh(tmp_path / "mesh.vtu", mesh)
-    assert read_mesh(tmp_path / "mesh.vtu", Similarity()).node_sets["a,b"].tolist() == [1]
+    assert read_mesh(tmp_path / "mesh.vtu", Similarity(), 2).node_sets["a,b"].tolist() == [1]
 
 
 @pytest.mark.real_data
 def test_open_hole_mesh(real_data: Path) -> None:
-    mesh = repair(read_mesh(real_data / "openhole" / "mesh_q4_pixels.msh", Similarity()))
+    mesh = repair(read_mesh(real_data / "openhole" / "mesh_q4_pixels.msh", Similarity(), 2))
     assert (mesh.n_nodes, mesh.n_cells) == (1500, 1404)
     assert set(mesh.types) == {Q4.vtk}
     # 32 lines on two clamped edges have 34 nodes.

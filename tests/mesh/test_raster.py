@@ -31,9 +31,13 @@ ANY_MESH = st.one_of(grid_meshes(), delaunay_meshes(), lattice_meshes())
 
 def pixels_of(raster: Raster) -> list[set[tuple[int, int]]]:
     """Pixels (x, y) of each cell."""
-    rows = raster.rows[:, 0]
+    rows = raster.find_runs(np.arange(len(raster.n_rows)))[1][:, 0]
     return [{(x, int(rows[r])) for r in range(raster.row_ptr[e], raster.row_ptr[e + 1])
-             for x in range(raster.starts[r], raster.stops[r])} for e in range(len(raster.first_row))]
+             for x in range(raster.starts[r], raster.stops[r])} for e in range(len(raster.n_rows))]
+
+
+def draw_all(raster: Raster, width: int, height: int) -> NDArray[np.uint8]:
+    return raster.draw_cells(np.arange(len(raster.n_rows)), Window.of_size(width, height))
 
 
 def corners(mesh: Mesh, cell: int) -> NDArray[np.float64]:
@@ -134,8 +138,8 @@ def test_masks_of_a_partition_add_up_to_the_mask_of_the_whole(mesh: Mesh, kind: 
     total = np.zeros((height, width), dtype=int)
     for s in range(int(parts.max()) + 1):
         part, _ = mesh.create_submesh(np.flatnonzero(parts == s))
-        total += rasterize(part).find_covered(Window.of_size(width, height))
-    np.testing.assert_array_equal(total, rasterize(mesh).find_covered(Window.of_size(width, height)))
+        total += draw_all(rasterize(part), width, height)
+    np.testing.assert_array_equal(total, draw_all(rasterize(mesh), width, height))
 
 
 def test_half_open_square_takes_its_left_and_top_edges() -> None:
@@ -173,7 +177,7 @@ def test_coverage_is_clipped_to_the_image() -> None:
     raster = rasterize(grid_mesh(2, 2, (10.0, 10.0), origin=(-5.0, -5.0)))
     expected = np.zeros((8, 20), dtype=np.uint8)
     expected[:, :15] = 1
-    np.testing.assert_array_equal(raster.find_covered(Window.of_size(20, 8)), expected)
+    np.testing.assert_array_equal(draw_all(raster, 20, 8), expected)
 
 
 @settings(max_examples=50)

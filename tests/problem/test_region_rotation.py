@@ -11,7 +11,7 @@ from mpi4py import MPI
 from ddic.mesh.rotation import Rotation
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
-from ddic.problem.added_forces import HeldRotation, RigidMotion, fit_rigid_motion
+from ddic.problem.added_forces import STEP_ANGLE, HeldRotation, RigidMotion, choose_stiffness_rotation, fit_rigid_motion
 from support.cases import write_case, write_images
 from support.prepared import assemble_alike, prepare
 
@@ -65,3 +65,11 @@ def test_forces_take_the_gap_of_the_rotation_away(shared_path: Path) -> None:
     expected = system.eta * (kbar.T @ (kbar @ rest))
     np.testing.assert_allclose(total[system.subdomain.numbers], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     assert np.abs(expected).max() > 0
+
+
+@pytest.mark.parametrize("steps", [(0.4,), (0.49, 0.49, 0.49), (1.3, -0.4, 0.2)])
+def test_a_rotation_that_stays_is_turned_for_once(steps: tuple[float, ...]) -> None:
+    # In space the corner of a cube of steps is farther from its middle than half a step.
+    now, at_rest = Rotation(STEP_ANGLE * np.array(steps)), Rotation(np.zeros(len(steps)))
+    chosen = choose_stiffness_rotation(now, at_rest)
+    assert choose_stiffness_rotation(now, chosen) is chosen

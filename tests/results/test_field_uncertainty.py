@@ -54,7 +54,8 @@ def _prepare_forces(team: Team, problem: StepProblem, parts: Decomposed, n_sampl
         view = View(read_correlation(subdomain.mesh, problem.image, 3), subdomain.kinematics)
         covariances = SIGMA**2 * view.correlation.compute_cell_hessians()
         views.append([view])
-        cells.append([prepare_samples(covariances, subdomain.cell_ids, places, 0, n_samples)])
+        cells.append([prepare_samples(covariances, subdomain.cell_ids, places, 0, n_samples,
+                                      covariances.shape[1])])
     return NoiseForces(ByView(views), ByView(cells), n_samples, 1.0)
 
 
@@ -74,7 +75,7 @@ def _estimate(team: Team, wavelength: float | None, kind: str, n: int) -> tuple[
 def test_cells_in_one_place_have_signs_of_their_own(n_samples: int, dim: int, n: int) -> None:
     """As the parts of a cut cell have, and of another one in an irregular mesh: else what noise parts is off."""
     places = np.zeros((4, dim), np.int64)
-    forces = [prepare_samples(np.tile(np.eye(n), (4, 1, 1)), np.arange(4), places, 0, n_samples).generate_forces(k)
+    forces = [prepare_samples(np.tile(np.eye(n), (4, 1, 1)), np.arange(4), places, 0, n_samples, n).generate_forces(k)
               for k in range(n_samples)]
     products = np.einsum("kei,kfi->ef", forces, forces) / (n_samples * n)
     # Sequences of Walsh are orthogonal.

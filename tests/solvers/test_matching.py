@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,7 +44,8 @@ def test_iterations_hardly_grow_with_the_cut_off_wavelength() -> None:
         problem = linear_step(12, wavelength, "Hex8")
         with Decomposed(Team.alone(), problem, split(problem.mesh, "blocks", 1), "consistent") as cut:
             for name, precondition in (("diagonal", None), ("matching", MatchingPreconditioner)):
-                with closing(ConjugateGradientStep(cut.team, cut.systems, 1e-6, 3000, precondition)) as step:
+                with PetscStack() as stack:
+                    step = stack.keep(ConjugateGradientStep(cut.team, cut.systems, 1e-6, 3000, precondition))
                     counts[name].append(cut.solve(step).krylov_iterations)
     # Three times as long a wave: nine times the root of the condition number, of which the region's size leaves half.
     assert counts["diagonal"][1] > 3 * counts["diagonal"][0]
@@ -57,13 +58,21 @@ def test_the_polynomial_inverts_what_is_left_at_the_surface(extension: float) ->
     mass = np.linspace(0.0, 1.0, 101)
     energy = mass + 2 * ROUGH / (1 - mass + ROUGH / extension)
     ratio = np.polynomial.polynomial.polyval(mass, find_polynomial(extension))**2 * energy
-    # A preconditioner that is off by a factor of 1.6 at worst costs a quarter of the iterations.
-    assert ratio.min() > 1 / 1.6
-    assert ratio.max() < 1.6
+    # A preconditioner that is off by a factor of 1.7 at worst costs a third of the iterations.
+    assert ratio.min() > 1 / 1.7
+    assert ratio.max() < 1.2
 
 
 def test_all_controlled_leaves_no_surface() -> None:
     assert find_polynomial(0.0) == [1.0]
+    problem = linear_step(6, 32.0, "Hex8")
+    everywhere = replace(problem, controlled=np.ones(problem.mesh.n_dofs, dtype=bool))
+    with (Decomposed(Team.alone(), everywhere, split(problem.mesh, "blocks", 1), "consistent") as cut,
+          PetscStack() as stack):
+        exact, found = (cut.solve(stack.keep(ConjugateGradientStep(cut.team, cut.systems, 1e-10, 3000, precondition)))
+                        for precondition in (None, MatchingPreconditioner))
+    # Of two solutions to 1e-10 each, of a condition number of some hundred.
+    np.testing.assert_allclose(found.dq[0], exact.dq[0], atol=1e-8 * np.abs(exact.dq[0]).max())
 
 
 def test_roots_of_blocks_square_to_them_and_are_raised_where_nothing_is_seen() -> None:

@@ -264,3 +264,11 @@ def test_a_known_part_is_extended_by_equilibrium() -> None:
     displacement = np.where(known[:, None], field.displacement(MESH.nodes), np.nan)
     found = extrapolate(MESH, displacement, known)
     np.testing.assert_allclose(found.displacement, field.displacement(MESH.nodes), atol=1e-6)
+
+
+def test_what_is_the_same_along_an_axis_ends_in_order() -> None:
+    # Fibres along z, moved across them: nothing tells the motion along them.
+    plane = pair_of(REST, SIDE).reference.read_whole()[SIDE // 2]
+    f, g = (source(np.repeat(values[None], SIDE, axis=0)) for values in (plane, np.roll(plane, 2, axis=1)))
+    matches = match_features(BinnedPair(f, g, 1), MESH, find_pieces(MESH))
+    assert np.isfinite(matches.displacement).all()

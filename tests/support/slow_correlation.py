@@ -61,7 +61,7 @@ def local_points(kind: int, corners: NDArray[np.float64], points: NDArray[np.flo
 def cell_pixels(part: Correlation) -> list[CellPixels]:
     """The pixels of every cell, with the reference image's data."""
     mesh, raster, f = part.mesh, part.raster, part.reference
-    rows = raster.rows[:, 0]
+    rows = raster.find_runs(np.arange(mesh.n_cells))[1][:, 0]
     out = []
     for e in range(mesh.n_cells):
         runs = range(raster.row_ptr[e], raster.row_ptr[e + 1])

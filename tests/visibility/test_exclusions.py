@@ -96,10 +96,11 @@ def test_m_and_b_are_those_of_the_pixels_that_are_left() -> None:
     used = exclude(model, excluded)
     # A mask of the reference image that hides the same, whose taps are left as they are.
     raster = model.views[0][0].correlation.raster
+    rows = raster.find_runs(np.arange(16))[1]
     cell_of = np.full((128, 128), -1)
     for cell in range(16):
         for run in range(raster.row_ptr[cell], raster.row_ptr[cell + 1]):
-            cell_of[raster.rows[run], raster.starts[run]:raster.stops[run]] = cell
+            cell_of[rows[run], raster.starts[run]:raster.stops[run]] = cell
     counts = cell_of >= 0
     counts &= cell_of != 5
     counts[40, 30] = counts[81, 80] = False

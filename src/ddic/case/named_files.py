@@ -178,7 +178,8 @@ def _list_refused_by_updates(case: Case) -> Iterator[str]:
         ("residual_image" in case.output.model_fields_set and case.output.residual_image,
          "pixels of the residual would be those of the last update; leave output.residual_image out"),
         ((case.imaging.reference_mask is not None or case.imaging.masked) and case.imaging.deformed_mask is None,
-         "a later frame is masked by images.deformed_mask; give one beside images.reference_mask and images.masked"),
+         "a later frame is masked by images.deformed_mask; give one beside images.reference_mask and images.masked"
+         if case.dim == 2 else "masks of volumes do not move with the specimen; leave volumes.mask out"),
     ]
     for is_there, reason in refused:
         if is_there:

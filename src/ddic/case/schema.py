@@ -268,8 +268,8 @@ class MeshedSection(Section):
         sides = [high - low for low, high in zip(self.box[:dim], self.box[dim:], strict=False)]
         if min(sides) < self.element_size:
             listed = " x ".join(f"{side:g}" for side in sides)
-            yield (f"region must hold at least one element of element_size: its box is {listed} px; give [x0, y0, x1, "
-                   "y1], the lesser corner first, or smaller elements")
+            yield (f"region must hold at least one element of element_size: its box is {listed} px; give the lesser "
+                   "corner first, or smaller elements")
 
 
 class StructuredSection(MeshedSection):
@@ -318,9 +318,10 @@ class MeshSection(Section):
     """A mesh file that meshio reads, or a region that is meshed."""
 
     file: Annotated[Path | None, note(unit="mesh units")] = None
-    """A mesh that meshio reads (Gmsh, Abaqus, VTU, ...), with linear triangles (T3) and quadrilaterals (Q4), mixed or
-    not. Named groups of lines and vertices, and point sets, become node sets. Orientation is repaired and unused nodes
-    are dropped; a third coordinate must be constant. Cells that are flat, crossed, not convex, repeated, over one
+    """A mesh that meshio reads (Gmsh, Abaqus, VTU, ...), with linear triangles (T3) and quadrilaterals (Q4), of volumes
+    tetrahedra (Tet4) and hexahedra (Hex8), mixed or not. Named groups of lines and vertices, of volumes of faces too,
+    and point sets become node sets. Orientation is repaired and unused nodes are dropped; beside images a third
+    coordinate must be constant. Cells that are flat, crossed, not convex, repeated, over one
     another or without a pixel are refused by number, and so are nodes on a side of a cell that is not theirs."""
 
     structured: StructuredSection | None = None
@@ -700,12 +701,13 @@ class StartSection(Section):
     """Which frame of a series that `from_result` names, by its number, from 1."""
 
     from_points: Path | None = None
-    """The same from displacements at points: a CSV file with a header row that names the columns x, y, u, v, pixels of
-    the reference image."""
+    """The same from displacements at points: a CSV file with a header row that names the columns x, y, u, v, of volumes
+    x, y, z, u, v, w too, pixels of the reference image."""
 
     points: Annotated[
         tuple[Match, ...] | None, note(unit="px", shape="list of [x, y, x', y']")] = None
-    """The same from a few points: each in the reference image, then where it is in the deformed one. One says a
+    """The same from a few points: each in the reference image, then where it is in the deformed one; of volumes six
+    numbers. One says a
     translation, two a rotation with a scale, three an affine map, more what lies between them."""
 
     def _list_contradictions(self) -> Iterator[str]:
@@ -789,8 +791,8 @@ class OutputSection(Section):
 
     uncertainty: bool = False
     """Also write the standard deviations that the images' noise leaves in displacements and strains, and the
-    regularization's bias ([uncertainty.md](uncertainty.md)). The noise is `images.noise`, else that of
-    `images.at_rest`, else that of the residual."""
+    regularization's bias ([uncertainty.md](uncertainty.md)). The noise is `noise` of `[images]` or
+    `[volumes]`, else that of `at_rest` there, else that of the residual."""
 
     independent_fields: bool = False
     """Also write the displacement that each subdomain measures by itself, before they are coupled ([BP17], Fig. 9a);

@@ -37,14 +37,14 @@ def calibrate_near(far: Path, near: Path, ratio: float, model: Kind, distortion:
     from ddic.calibration.near import calibrate_near_camera
     from ddic.case.own_outputs import MAPPING, require_own_output
     from ddic.images.grey_levels import check_finite
-    from ddic.io.image_file import hold_image
     from ddic.io.mapping_file import MappingFile, write_mapping
+    from ddic.io.volume_file import hold_source
 
     with failures_as_lines(output):
         if output is not None:
             require_own_output(output, MAPPING, (far, near))
         with warnings_as_lines():
-            images = [hold_image(path) for path in (far, near)]
+            images = [hold_source(path, 2) for path in (far, near)]
             for image in images:
                 check_finite(image)
             found = calibrate_near_camera(images[0], images[1], ratio, model, distortion)

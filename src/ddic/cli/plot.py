@@ -20,6 +20,7 @@ from ddic.plots.kinds import (
     NUMBERS,
     ON_SLICES,
     ONLY_ASKED_FOR,
+    OVER_IMAGE,
     WITH_LIMITS,
 )
 
@@ -37,8 +38,8 @@ MOVING = ("gif", "mp4")
 @click.command()
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
 @click.option("--kind", type=click.Choice([*KINDS, CURVES, "all"]), default="all",
-              help="Figure to draw; all draws what the file allows, but not displacement and signed-residual; of a "
-                   "series without --frame and --animate it draws curves over time.")
+              help="Figure to draw; all draws what the file allows, but not displacement, signed-residual and "
+                   "histogram; of a series without --frame and --animate it draws curves over time.")
 @frame_option
 @click.option("--animate", is_flag=True, help="All frames of a series, one after the other, with the same colours.")
 @click.option("--fps", type=click.FloatRange(0.1, 100.0), default=5.0, help="Frames a second of an animation.")
@@ -67,7 +68,7 @@ MOVING = ("gif", "mp4")
               help="Plane of a volume to draw, such as z=120, voxels; as often as wanted. By default three through the "
                    "middle of the mesh.")
 @click.option("--units", type=click.Choice(["px", "physical"]),
-              help="Of lengths; by default physical where the case gives images.pixel_size.")
+              help="Of lengths; by default physical where the case gives images.pixel_size, or volumes.voxel_size.")
 @click.option("--other", type=click.Path(path_type=Path),
               help="Second result: its difference is drawn, and its Krylov curves beside the first one's.")
 @click.option("--image", type=click.Path(path_type=Path),
@@ -122,7 +123,8 @@ def plot(file: Path, kind: str, frame: int | None, animate: bool, fps: float,
         look = Look(component, StrainChoice(measure, number, by_cell), amplification, find_length_unit(result, units),
                     scale, title, scale_bar, planes)
         require_known(result, look)
-        preview = _read_reference(result, look, image) if set(kinds) & set(ON_SLICES) else None
+        drawn_over = ON_SLICES if result.mesh.dim == 3 else OVER_IMAGE
+        preview = _read_reference(result, look, image) if set(kinds) & set(drawn_over) else None
         drawing = Drawing(result, second, look, preview, _join_ends(line, depths, result.mesh.dim))
         if series is not None:
             plot_animation(series, kind, drawing, pages, fps)

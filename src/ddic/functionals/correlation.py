@@ -29,6 +29,7 @@ from ddic.functionals.pixel_kernels import N_SUMS, CellSums, PixelKernels, Shape
 from ddic.images.spline import HALO, PADDING, GradientImage
 from ddic.images.sub_image import DeformedSubImage, MaskedSource, read_reference
 from ddic.images.threads import ONE_THREAD, Threads
+from ddic.images.voxel_prefilter import TAPS
 from ddic.images.window import Window, merge_windows
 from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_cells
 from ddic.kinematics.strain import compute_displacement_gradients
@@ -506,7 +507,8 @@ def read_correlations(meshes: Sequence[Mesh], reference: MaskedSource, degree: i
         raise InputError(f"{reference.image.path}: pixels of the mesh lie outside the image "
                          f"({extent.describe()} px); move or cut the mesh")
     groups: list[list[Correlation]] = []
-    for common, members in merge_windows(windows, HALO[degree] + PADDING[degree]):
+    halo = TAPS if len(extent.sizes) == 3 else HALO[degree]
+    for common, members in merge_windows(windows, halo + PADDING[degree]):
         image = read_reference(reference, common, degree, threads)
         groups.append([])
         for k in members:

@@ -1045,7 +1045,7 @@ def count_step(image: NDArray[Any], axis: int) -> int:
 
 def take_cells(order: IntArray, interpolation: CellInterpolation, raster: Raster) -> Cells:
     """Take cells as kernels do, in the order of visiting."""
-    return Cells(order, interpolation.geometry, raster.first_row, raster.row_ptr, raster.starts, raster.stops)
+    return Cells(order, interpolation.geometry, raster.first_rows[:, 0], raster.row_ptr, raster.starts, raster.stops)
 
 
 COMPILED = PixelKernels(hessian_cells, residual_sums, fill_residual_pixels, convert_reference, convert_deformed,

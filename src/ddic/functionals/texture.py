@@ -81,14 +81,17 @@ def _estimate_noise_variance(correlation: Correlation) -> float:
     if min(f.window.sizes) < 3:
         return 0.0
     squares = _squared_details(f, rows)
-    # Runs of the cells' pixels on those rows; the window's outermost pixels have no detail.
-    place = raster.rows - f.window.lower[1:] - 1
+    # Runs on those rows of the cells that have any; the window's outermost pixels have no detail.
+    first = raster.first_rows[:, -1] - f.window.lower[-1]
+    has_rows = np.searchsorted(rows, first) < np.searchsorted(rows, first + raster.n_rows[:, -1])
+    runs, place, _ = raster.find_runs(np.flatnonzero(has_rows))
+    place = place - f.window.lower[1:] - 1
     inside = ((place >= 0) & (place < np.subtract(f.window.sizes[1:], 2))).all(axis=1)
     kept = np.flatnonzero(inside & (place[:, -1] % step == 0))
     place = place[kept]
     place[:, -1] //= step
     run = np.ravel_multi_index(tuple(place.T[::-1]), squares.shape[:-1])
-    starts, stops = (np.clip(ends[kept] - f.window.x0 - 1, 0, f.window.width - 2)
+    starts, stops = (np.clip(ends[runs[kept]] - f.window.x0 - 1, 0, f.window.width - 2)
                      for ends in (raster.starts, raster.stops))
     n_pixels = float((stops - starts).sum())
     if f.usable is not None:

@@ -54,8 +54,8 @@ def _measure_cell_slopes(raster: Raster, reference: GradientImage, n_pixels: Int
     sums = np.zeros((len(n_pixels), 3))
     # Windows into larger ones are copied: their layout is another type.
     by_x, by_y = map(np.ascontiguousarray, reference.slopes)
-    _add_up_slopes(by_x, by_y, np.ascontiguousarray(usable), reference.window.x0, reference.window.y0, raster.first_row,
-                   raster.row_ptr, raster.starts, raster.stops, sums)
+    _add_up_slopes(by_x, by_y, np.ascontiguousarray(usable), reference.window.x0, reference.window.y0,
+                   raster.first_rows[:, 0], raster.row_ptr, raster.starts, raster.stops, sums)
     xx, xy, yy = (sums / np.maximum(n_pixels, 1)[:, None]).T
     return CellSlopes(np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2))
 
@@ -119,12 +119,13 @@ class View:
     def measure_slopes(self) -> CellSlopes:
         """Measure the mean of grad f grad f^T over the pixels of each cell that count."""
         if self.correlation.mesh.dim == 3:
-            return CellSlopes(self.correlation.sum_slopes() / np.maximum(self.count_pixels(), 1)[:, None, None])
+            unturned = replace(self.correlation, inverse_deformations=None)
+            return CellSlopes(unturned.sum_slopes() / np.maximum(self.count_pixels(), 1)[:, None, None])
         return _measure_cell_slopes(self.correlation.raster, self.correlation.reference, self.count_pixels())
 
     def measure_grey_range(self) -> tuple[float, float]:
         """Measure the range of the reference image's grey levels on the window that holds the view."""
-        values = self.correlation.reference.values
+        values = self.correlation.reference.grey_levels
         return float(values.min()), float(values.max())
 
     def assemble_hessian(self, cells: IntArray | None = None) -> sparse.csr_matrix:

@@ -35,9 +35,6 @@ from ddic.vectors import (
     count,
     count_equal,
     fill,
-    fill_double,
-    find_least,
-    find_most,
     load,
     mark_first,
     round_down,
@@ -61,6 +58,12 @@ AFFINE = 1e-11
 
 NEWTON_STEPS, CLOSE = 8, 1e-4
 """Most steps towards local coordinates, and the step after which the next one would be below float32's rounding."""
+
+FAR = (3.0 * 1.5**2)**4
+"""Fourth power of the square of a distance from the centre, local coordinates, at which no voxel of a cell is."""
+
+BARELY = 1.0 + 1e-6
+"""A position in the volume by less than this, relative to its size, is looked at in float64."""
 
 
 class _Cells(NamedTuple):
@@ -419,7 +422,7 @@ def _total_at(sums, place):
     """A sum over all lanes, which become 0."""
     at = place * WIDTH
     value = sum_lanes(load(sums, at))
-    store(sums, at, fill_double(0.0))
+    store(sums, at, widen(fill(0.0)))
     return value
 
 
@@ -513,7 +516,10 @@ def _find_slopes(X, e, i, xi, eta, zeta):
 
 @numba.njit(**INLINED)
 def _find_local_coordinates(X, e, inverse, x, y, z):
-    """Invert x = X phi(xi, eta, zeta) at neighbouring voxels by Newton's method; x, y, z are from the cell's centre."""
+    """Invert x = X phi(xi, eta, zeta) at neighbouring voxels by Newton's method; x, y, z are from the cell's centre.
+
+    And whether these were found: in a cell that is badly distorted they may not be.
+    """
     G = inverse
     xi = fill(G[0, 0]) * x + fill(G[0, 1] * y + G[0, 2] * z)
     eta = fill(G[1, 0]) * x + fill(G[1, 1] * y + G[1, 2] * z)
@@ -533,17 +539,24 @@ def _find_local_coordinates(X, e, inverse, x, y, z):
         xi, eta, zeta = xi - d_xi, eta - d_eta, zeta - d_zeta
         if sum_lanes(d_xi * d_xi + d_eta * d_eta + d_zeta * d_zeta) <= CLOSE * CLOSE:
             break
-    return xi, eta, zeta
+    square = xi * xi + eta * eta + zeta * zeta
+    square = square * square
+    return xi, eta, zeta, sum_lanes(square * square) <= FAR
 
 
 @numba.njit(**INLINED)
 def _place_curved(X, e, row, x, n, scratch):
-    """Local coordinates of n neighbouring voxels, at most a vector; their monomials are left in ``scratch.lanes``."""
+    """Local coordinates of n neighbouring voxels, at most a vector; their monomials are left in ``scratch.lanes``.
+
+    And whether they count: those whose coordinates are not found are taken for the cell's centre, and do not.
+    """
     counts = mark_first(n)
     # Beyond the last one it is repeated: nothing is known of what lies outside the cell.
     places = counts * count() + (fill(1.0) - counts) * fill(n - 1)
-    xi, eta, zeta = _find_local_coordinates(X, e, scratch.inverse, places + fill(x - X[e, 0, 0]),
-                                            row.y - X[e, 1, 0], row.z - X[e, 2, 0])
+    xi, eta, zeta, is_found = _find_local_coordinates(X, e, scratch.inverse, places + fill(x - X[e, 0, 0]),
+                                                      row.y - X[e, 1, 0], row.z - X[e, 2, 0])
+    if not is_found:
+        xi, eta, zeta = fill(0.0), fill(0.0), fill(0.0)
     lanes, xi_eta = scratch.lanes, xi * eta
     store(lanes, 0, fill(1.0))
     store(lanes, WIDTH, xi)
@@ -553,13 +566,13 @@ def _place_curved(X, e, row, x, n, scratch):
     store(lanes, 5 * WIDTH, xi * zeta)
     store(lanes, 6 * WIDTH, eta * zeta)
     store(lanes, 7 * WIDTH, xi_eta * zeta)
-    return xi, eta, zeta
+    return xi, eta, zeta, is_found
 
 
 @numba.njit(**INLINED)
-def _reaches_out(size, first, last, least_u, most_u):
-    """Whether voxels from a first to a last one leave the volume along an axis."""
-    return not (first + least_u >= 0.0 and last + most_u <= size - 1.0)
+def _count_inside(size, places):
+    """How many neighbouring voxels, from the first on, certainly are in the volume at these places along an axis."""
+    return count_equal(round_down(places * fill(BARELY / (size - 1.0))), fill(0.0))
 
 
 @numba.njit(**INLINED)
@@ -569,18 +582,22 @@ def _visit_curved_row(cells, displacement, reference, deformed, e, row, inside, 
     base_u, base_v, base_w = math.floor(D[e, 0, 0]), math.floor(D[e, 1, 0]), math.floor(D[e, 2, 0])
     x = row.x
     while x < row.stop:
-        n, weight = min(row.stop - x, WIDTH), 1.0
-        xi, eta, zeta = _place_curved(X, e, row, x, n, scratch)
+        n = min(row.stop - x, WIDTH)
+        xi, eta, zeta, is_found = _place_curved(X, e, row, x, n, scratch)
+        weight = 1.0 if is_found else 0.0
         u = _add_up(D, e, 0, xi, eta, zeta) + fill(D[e, 0, 0] - base_u)
         v = _add_up(D, e, 1, xi, eta, zeta) + fill(D[e, 1, 0] - base_v)
         w = _add_up(D, e, 2, xi, eta, zeta) + fill(D[e, 2, 0] - base_w)
-        if not inside and (_reaches_out(sizes[0], x, x + n - 1, find_least(u) + base_u, find_most(u) + base_u)
-                           or _reaches_out(sizes[1], row.y, row.y, find_least(v) + base_v, find_most(v) + base_v)
-                           or _reaches_out(sizes[2], row.z, row.z, find_least(w) + base_w, find_most(w) + base_w)):
-            n = 1
-            alone_u, alone_v, alone_w, weight = _place_alone(deformed, row, x, take_first(u) + base_u,
-                                                             take_first(v) + base_v, take_first(w) + base_w)
-            u, v, w = fill(alone_u - base_u), fill(alone_v - base_v), fill(alone_w - base_w)
+        if not inside:
+            n_inside = min(_count_inside(sizes[0], u + count() + fill(x + base_u)),
+                           _count_inside(sizes[1], v + fill(row.y + base_v)),
+                           _count_inside(sizes[2], w + fill(row.z + base_w)))
+            n = min(n, max(n_inside, 1))
+            if n_inside == 0:
+                alone_u, alone_v, alone_w, is_inside = _place_alone(deformed, row, x, take_first(u) + base_u,
+                                                                    take_first(v) + base_v, take_first(w) + base_w)
+                u, v, w = fill(alone_u - base_u), fill(alone_v - base_v), fill(alone_w - base_w)
+                weight *= is_inside
         i, j, k = round_down(u), round_down(v), round_down(w)
         first_i, first_j, first_k = take_first(i), take_first(j), take_first(k)
         n = min(n, count_equal(i, fill(first_i)), count_equal(j, fill(first_j)), count_equal(k, fill(first_k)))
@@ -796,8 +813,8 @@ def _hessian_cells(cells, shapes, reference, out):
             else:
                 for k in range(0, length, WIDTH):
                     n = min(length - k, WIDTH)
-                    _place_curved(cells.geometry, e, row, row.x + k, n, scratch)
-                    _add_curved_slopes(scratch, reference, row, k, n)
+                    _, _, _, is_found = _place_curved(cells.geometry, e, row, row.x + k, n, scratch)
+                    _add_curved_slopes(scratch, reference, row, k, n if is_found else 0)
         if not is_linear:
             _total_pairs(scratch)
         _combine_products(scratch, shapes.coefficients[shapes.kinds[e]], e, out)

@@ -88,7 +88,7 @@ def build_mesh_anywhere(case: Case) -> Mesh:
     """
     if case.mesh.structured is not None and case.mesh.structured.mask is not None:
         raise InputError("mesh.structured.mask: its image cannot be read")
-    return repair(_raw_mesh(case.mesh, Window.of_size(0, 0)))
+    return repair(_raw_mesh(case.mesh, Window.of_size(*[0] * case.dim)))
 
 
 def _build_mesh(section: MeshSection, name: str, extent: Window) -> Mesh:
@@ -114,7 +114,7 @@ def accept_mesh(raw: Mesh, name: str, extent: Window, *, is_built_in: bool = Fal
 
 def _raw_mesh(section: MeshSection, extent: Window) -> Mesh:
     if section.file is not None:
-        return read_mesh(section.file, convert_mapping(section.mapping))
+        return read_mesh(section.file, convert_mapping(section.mapping), len(extent.sizes))
     if section.unstructured is not None:
         return _unstructured(section.unstructured)
     return _structured(require_held(section.structured), extent)

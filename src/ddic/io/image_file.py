@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.errors import InputError
-from ddic.images.binned import ArraySource
-from ddic.images.source import ImageSource, SizedImage
+from ddic.images.source import SizedImage
 from ddic.images.window import Window
 from ddic.io import image_formats as formats
 from ddic.io.image_formats import PixelFormat
@@ -203,15 +202,6 @@ def open_decoded(path: Path | str) -> tuple[ImageFile, NDArray[Any] | None]:
     return image, None if pixels is None else _convert_to_grey(pixels, image.layout)
 
 
-def hold_image(path: Path | str) -> ImageSource:
-    """Open an image that is read in many windows: one that can only be decoded whole is decoded once.
-
-    Such a one comes as its pixels in memory, any other as the file. Raises InputError as ``open_image`` does.
-    """
-    image, pixels = open_decoded(path)
-    return image if pixels is None else ArraySource(image.path, pixels, image.saturation)
-
-
 def open_slices(files: Sequence[Path]) -> list[ImageFile]:
     """Open images of one size and type by their headers; the first one as ``open_image`` does.
 
@@ -273,7 +263,7 @@ def _warn_of_what_is_dropped(path: Path, layout: PixelFormat) -> None:
     dropped = {
         "JPEG compression changes grey levels, which adds to the noise; save TIFF or PNG where you can":
             _find_magic(path) == JPEG,
-        f"{layout.n_pages} pages, only the first is used": layout.n_pages > 1,
+        f"{layout.n_pages} pages, only the first is used; name a volume in [volumes]": layout.n_pages > 1,
         "white is stored as zero, grey levels are inverted": layout.inverted,
         "colour image, turned to grey (0.299 R + 0.587 G + 0.114 B)": layout.n_colours == 3,
         "the alpha (transparency) channel is not used": layout.n_channels > layout.n_colours,

@@ -35,7 +35,7 @@ WRITTEN_FORMATS = {".vtu": ("vtu", "<!-- written by ddic mesh -->\n"), ".inp": (
 known."""
 
 
-def read_mesh(path: Path, mapping: Similarity, dim: int = 2) -> Mesh:
+def read_mesh(path: Path, mapping: Similarity, dim: int) -> Mesh:
     """Read a mesh of T3 and Q4, or Tet4 and Hex8 (mixed or not), and map it to pixels; cells keep the file's order.
 
     Node sets come from the named groups of cells of fewer dimensions (Gmsh physical groups, meshio cell sets), from
@@ -46,7 +46,7 @@ def read_mesh(path: Path, mapping: Similarity, dim: int = 2) -> Mesh:
     return convert_mesh(_read_raw(path), str(path), mapping, dim)
 
 
-def convert_mesh(raw: Any, name: str, mapping: Similarity, dim: int = 2) -> Mesh:
+def convert_mesh(raw: Any, name: str, mapping: Similarity, dim: int) -> Mesh:
     """Convert a meshio mesh to pixels, as ``read_mesh`` does; ``name`` is what messages call it."""
     measured = {kind.meshio_name: kind for kind in CELL_TYPES.values() if kind.dim == dim}
     blocks = [(measured[b.type], np.asarray(b.data, dtype=np.int64))

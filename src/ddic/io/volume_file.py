@@ -140,10 +140,10 @@ class Planes:
 
 
 def is_volume(path: Path) -> bool:
-    """Tell whether a path leads to a volume and no image, as far as its beginning shows, or several pages of TIFF."""
+    """Tell whether a path leads to a volume and no image, as far as its beginning shows, or a stack of TIFF pages."""
     try:
         file, _ = input_file.split_dataset(path)
-        return _choose_opener(file) is not _open_tiff or formats.read_tiff_format(file).n_pages > 1
+        return _choose_opener(file) is not _open_tiff or formats.read_tiff_format(file, dim=3).n_pages > 1
     except (InputError, *_ERRORS):
         return False
 
@@ -355,7 +355,8 @@ def _choose_array(path: Path, within: Any, name: str) -> str:
     # Microscopes have axes of one channel and one time before these.
     volumes = [key for key, shape in shapes.items() if len(shape) >= 3 and max(shape[:-3], default=1) == 1]
     if len(volumes) != 1:
-        listed = ", ".join(f"{key} {shape}" for key, shape in shapes.items() if key in volumes or not volumes)
+        some = [f"{key} {shape}" for key, shape in shapes.items() if key in volumes or not volumes]
+        listed = ", ".join(some[:MOST_LISTED]) + ", ..." * (len(some) > MOST_LISTED)
         remedy = f"name one: FILE{input_file.DATASET}{volumes[0]}" if volumes else "give another file"
         raise InputError(f"{path}: {len(volumes)} arrays of axes z, y, x ({listed or 'no array'}); {remedy}")
     return volumes[0]
@@ -365,8 +366,9 @@ def _find_sides(said: Mapping[str, Any], of_array: Mapping[str, Any], name: str)
     """Sides (z, y, x) of a voxel, as OME's Zarr folders and Fiji's HDF5 files say them; None where none are said."""
     for scales in said.get("ome", said).get("multiscales", ()):
         for array in scales["datasets"]:
-            if array["path"] == name:
-                return array["coordinateTransformations"][0]["scale"][-3:]
+            for transformation in array.get("coordinateTransformations", ()) if array["path"] == name else ():
+                if "scale" in transformation:
+                    return transformation["scale"][-3:]
     return of_array.get("element_size_um")
 
 
@@ -394,6 +396,8 @@ def _open_by_itk(path: Path) -> VolumeFile:
             raise InputError(f"{path}: {len(series)} series of DICOM files; give a folder of one, or of images")
         # In the order of their positions.
         files = [Path(file) for file in itk.ImageSeriesReader.GetGDCMSeriesFileNames(str(path), series[0])]
+        if len(files) == 1:
+            raise InputError(f"{path}: one slice; give the folder of all of them")
     headers = [_read_header(itk, file) for file in files]
     sizes, spacing = headers[0].GetSize(), headers[0].GetSpacing()
     types = {getattr(itk, f"sitk{name.title().replace('Uint', 'UInt')}"): np.dtype(name) for name in TYPES}

@@ -6,6 +6,7 @@ import numpy as np
 
 from ddic.arrays import Array
 from ddic.mesh.plane import build_tree
+from ddic.mesh.rotation import fit_rotation
 
 THIN = 0.02
 """Width of a set of points, times its length, below which they are on a line and tell no affine map. A larger value
@@ -87,8 +88,7 @@ def fit_similarity(points: Array, images: Array) -> Array:
     Of points on a line, which leave the rotation about it open, it is the least rotation.
     """
     products = images.T @ points
-    u, _, v = np.linalg.svd(products + LEAST_TURN * np.linalg.norm(products) * np.eye(3))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    rotation = fit_rotation(products + LEAST_TURN * np.linalg.norm(products) * np.eye(3))
     return np.asarray(rotation * ((rotation * products).sum() / (points**2).sum()))
 
 

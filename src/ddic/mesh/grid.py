@@ -150,9 +150,10 @@ class GridLines:
 
     def count_pixels(self) -> list[IntArray]:
         """Count the pixels of each cell along each axis, as ``rasterize`` does."""
-        # Columns are where rows cross the sides.
-        ends = [np.ceil(np.round(self.x * SNAP) / SNAP), *(np.ceil(line) for line in self.lines[1:])]
-        return [np.diff(of_line.astype(np.int64)) for of_line in ends]
+        # Columns are where rows cross the sides; in a volume all nodes are rounded.
+        rounded = [np.round(line * SNAP) / SNAP for line in self.lines]
+        ends = [rounded[0], self.lines[1]] if self.dim == 2 else rounded
+        return [np.diff(np.ceil(of_line).astype(np.int64)) for of_line in ends]
 
     @property
     def cell_size(self) -> float:

@@ -10,13 +10,13 @@ cell. A plane z cuts the edges from a to b with z_a <= z < z_b, hence the faces 
 edges and rows are as above.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.window import Window
@@ -60,53 +60,44 @@ class Raster:
         up_to = find_offsets(self.stops - self.starts)
         return np.asarray(up_to[self.row_ptr[1:]] - up_to[self.row_ptr[:-1]])
 
-    @property
-    def first_row(self) -> IntArray:
-        """Row of each cell's first run in a plane image, (n_cells,)."""
-        return self.first_rows[:, 0]
-
-    @property
-    def rows(self) -> IntArray:
-        """Row of each run, (n_runs, dim - 1): y, in a volume y and z."""
-        return self.find_runs(np.arange(len(self.n_rows)))[1]
-
     @cached_property
     def window(self) -> Window:
         """Bounding box of all pixels; raises ValueError where there is none."""
         filled = self.stops > self.starts
         if not filled.any():
             raise ValueError("no pixel centre lies inside the mesh")
-        rows = self.rows[filled]
-        return Window.between([self.starts[filled].min(), *rows.min(axis=0)],
-                              [self.stops[filled].max(), *(rows.max(axis=0) + 1)])
-
-    def find_covered(self, extent: Window) -> NDArray[np.uint8]:
-        """Draw the pixels that belong to a cell in the box of a whole image: 1 there, 0 elsewhere."""
-        return self.draw_cells(np.arange(len(self.n_rows)), extent)
+        if self.first_rows.shape[1] == 1:
+            rows = self.find_runs(np.arange(len(self.n_rows)))[1][filled]
+            first, stop = rows.min(axis=0), rows.max(axis=0) + 1
+        else:
+            # A list of the rows of all runs would take more than the voxels.
+            first, stop = self.first_rows.min(axis=0), (self.first_rows + self.n_rows).max(axis=0)
+        return Window.between([self.starts[filled].min(), *first], [self.stops[filled].max(), *stop])
 
     def draw_cells(self, cells: IntArray, window: Window) -> NDArray[np.uint8]:
         """Draw the pixels of some cells in a window: 1 there, 0 elsewhere."""
-        drawn = np.zeros(window.shape, dtype=np.uint8)
-        _fill_ones(*self._place_runs(cells, window), drawn.reshape(-1, window.width))
-        return drawn
+        n_cells = self._count_cells(cells, window, np.uint8)
+        return np.minimum(n_cells, 1, out=n_cells)
 
     def find_shared(self, extent: Window) -> IntArray:
         """Count the pixels of each cell that other cells hold too, (n_cells,); ``extent`` has all pixels."""
         shared = np.zeros(len(self.n_rows), dtype=np.int64)
         for band in extent.split_rows(max(1, BAND_PIXELS * extent.sizes[-1] // extent.n_pixels)):
-            n_cells = np.zeros(band.shape, dtype=np.uint16)
-            _add_ones(*self._place_runs(np.arange(len(shared)), band), n_cells.reshape(-1, band.width))
+            n_cells = self._count_cells(np.arange(len(shared)), band, np.uint16)
             shared += self.sum_by_cell((n_cells > 1).astype(np.uint8), band)
         return shared
 
-    def _place_runs(self, cells: IntArray, window: Window) -> tuple[IntArray, IntArray, IntArray]:
-        """Rows of a window, one after the other, on which runs of some cells lie, and where these begin and end."""
+    def _count_cells(self, cells: IntArray, window: Window, dtype: DTypeLike) -> NDArray[Any]:
+        """Count those of some cells that hold each pixel of a window."""
         first, n_rows = self.first_rows[cells, -1], self.n_rows[cells, -1]
         runs, rows, _ = self.find_runs(cells[(first < window.upper[-1]) & (first + n_rows > window.lower[-1])])
         rows = rows - window.lower[1:]
         inside = ((rows >= 0) & (rows < window.sizes[1:])).all(axis=1)
         starts, stops = (np.clip(ends[runs[inside]] - window.x0, 0, window.width) for ends in (self.starts, self.stops))
-        return np.ravel_multi_index(rows[inside].T[::-1], window.shape[:-1]), starts, stops
+        n_cells = np.zeros(window.shape, dtype=dtype)
+        _add_ones(np.ravel_multi_index(rows[inside].T[::-1], window.shape[:-1]), starts, stops,
+                  n_cells.reshape(-1, window.width))
+        return n_cells
 
     def find_runs(self, cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         """Find the runs of some cells: numbers, (n_runs,), rows, (n_runs, dim - 1), and cells, (n_runs,)."""
@@ -135,6 +126,9 @@ class Raster:
 
 def rasterize(mesh: Mesh) -> Raster:
     """Find the pixels of every cell; cells must be convex, with straight edges."""
+    if mesh.dim == 3:
+        # Planes cut edges at rounded places, which must not leave the rows between a cell's nodes.
+        mesh = replace(mesh, nodes=np.round(mesh.nodes * SNAP) / SNAP)
     outlines = mesh.outlines
     at_corners = outlines.corners[outlines.connectivity, 1:]
     first_rows = np.ceil(np.minimum.reduceat(at_corners, outlines.offsets[:-1])).astype(np.int64)
@@ -150,9 +144,9 @@ def rasterize(mesh: Mesh) -> Raster:
 
 def _rasterize_volume(mesh: Mesh, first_rows: IntArray, n_rows: IntArray) -> Raster:
     """Find the runs of voxels between the faces of each cell."""
-    cells = (mesh.nodes, *_list_triangles(mesh), first_rows, n_rows)
     times = np.ones(mesh.n_cells, dtype=np.int64)
-    _count_runs(*cells, times)
+    cells = (mesh.nodes, *_list_triangles(mesh), first_rows, n_rows, times)
+    _fill_volume_runs(*cells, np.zeros(1, np.int64), *np.zeros((2, 0), dtype=np.int32))
     row_ptr = find_offsets(times * n_rows.prod(axis=1))
     starts, stops = np.zeros((2, row_ptr[-1]), dtype=np.int32)
     _fill_volume_runs(*cells, row_ptr, starts, stops)
@@ -277,31 +271,18 @@ def _cross_rows(nodes, triangles, first, n, crossings, n_crossings):  # type: ig
 
 
 @numba.njit(cache=True)
-def _new_crossings(n_rows):  # type: ignore[no-untyped-def]
-    most = 1
-    for e in range(len(n_rows)):
-        most = max(most, n_rows[e, 0] * n_rows[e, 1])
-    return np.empty((most, MOST_CROSSINGS), np.int64), np.empty(most, np.int64)
-
-
-@numba.njit(cache=True)
-def _count_runs(nodes, triangles, ends, first_rows, n_rows, times):  # type: ignore[no-untyped-def]
-    """Count the runs of each cell's rows, the most of them."""
-    crossings, n_crossings = _new_crossings(n_rows)
-    for e in range(len(n_rows)):
-        _cross_rows(nodes, triangles[ends[e]:ends[e + 1]], first_rows[e], n_rows[e], crossings, n_crossings)
-        for row in range(n_rows[e, 0] * n_rows[e, 1]):
-            times[e] = max(times[e], n_crossings[row] // 2)
-
-
-@numba.njit(cache=True)
-def _fill_volume_runs(nodes, triangles, ends, first_rows, n_rows, row_ptr, starts, stops):  # type: ignore[no-untyped-def]
-    """Fill the runs between every two crossings of a row."""
-    crossings, n_crossings = _new_crossings(n_rows)
+def _fill_volume_runs(nodes, triangles, ends, first_rows, n_rows, times,  # type: ignore[no-untyped-def]
+                      row_ptr, starts, stops):
+    """Fill the runs between every two crossings of a row, and count how many a row of each cell has, the most."""
+    most = np.max(n_rows[:, 0] * n_rows[:, 1])
+    crossings, n_crossings = np.empty((most, MOST_CROSSINGS), np.int64), np.empty(most, np.int64)
     for e in range(len(n_rows)):
         _cross_rows(nodes, triangles[ends[e]:ends[e + 1]], first_rows[e], n_rows[e], crossings, n_crossings)
         of_cell = n_rows[e, 0] * n_rows[e, 1]
         for row in range(of_cell):
+            times[e] = max(times[e], n_crossings[row] // 2)
+            if len(starts) == 0:
+                continue
             columns = np.sort(crossings[row, :n_crossings[row]])
             for k in range(len(columns) // 2):
                 run = row_ptr[e] + k * of_cell + row
@@ -313,6 +294,9 @@ def _add_up(image, lower, first_rows, n_rows, row_ptr, starts, stops, sums):  # 
     """Add each cell's pixels of an image, (depth, height, width), to its sum."""
     depth, height, width = image.shape
     for e in range(len(first_rows)):
+        # Of a volume's cells few reach into a slab.
+        if first_rows[e, 1] >= lower[2] + depth or first_rows[e, 1] + n_rows[e, 1] <= lower[2]:
+            continue
         total = sums[e]
         for r in range(row_ptr[e], row_ptr[e + 1]):
             k = r - row_ptr[e]
@@ -322,13 +306,6 @@ def _add_up(image, lower, first_rows, n_rows, row_ptr, starts, stops, sums):  # 
                 for x in range(max(starts[r] - lower[0], 0), min(stops[r] - lower[0], width)):
                     total += image[z, y, x]
         sums[e] = total
-
-
-@numba.njit(cache=True)
-def _fill_ones(rows, starts, stops, image):  # type: ignore[no-untyped-def]
-    """Put 1 on the pixels of some runs."""
-    for k in range(len(rows)):
-        image[rows[k], starts[k]:stops[k]] = 1
 
 
 @numba.njit(cache=True)

@@ -48,16 +48,9 @@ class Rotation:
         """Find the vector of R, (dim, dim)."""
         if len(matrix) == 2:
             return cls(np.array([np.arctan2(matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1])]))
-        # Twice the axis times the sine, which near half a turn no longer tells the axis: R + R^T does.
-        doubled = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
-        sine, cosine = 0.5 * np.linalg.norm(doubled), 0.5 * (np.trace(matrix) - 1.0)
-        angle = np.arctan2(sine, cosine)
-        if cosine > 0:
-            return cls(0.5 * doubled * (angle / sine if sine > 0 else 1.0))
-        outer = 0.5 * (matrix + matrix.T) - cosine * np.eye(3)
-        axis = outer[:, np.argmax(np.diag(outer))]
-        axis = axis / np.linalg.norm(axis)
-        return cls(angle * (axis if axis @ doubled >= 0 else -axis))
+        from scipy.spatial import transform
+
+        return cls(transform.Rotation.from_matrix(matrix).as_rotvec())
 
     @property
     def angle(self) -> float:
@@ -69,10 +62,9 @@ class Rotation:
         """R, (dim, dim)."""
         if len(self.vector) == 1:
             return build_rotation(self.angle)
-        angle = self.angle
-        x, y, z = self.vector / angle if angle > 0 else self.vector
-        across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        return np.asarray(np.eye(3) + np.sin(angle) * across + (1.0 - np.cos(angle)) * across @ across)
+        from scipy.spatial import transform
+
+        return np.asarray(transform.Rotation.from_rotvec(self.vector).as_matrix())
 
     def apply(self, vectors: Array) -> Array:
         """Turn vectors, (n, dim)."""

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.errors import InputError
+from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
-from ddic.images.window import Window
 from ddic.mesh.cell_type import HEX8, Q4, T3
 from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import (
@@ -238,13 +238,14 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
     box: Any = region if outline is None else outline.box
     refuse_impossible(box, element_size, cell, NAME)
     dim = len(box) // 2
-    if isinstance(mask, np.ndarray) and mask.ndim != dim:
+    source = ArraySource(Path("mask"), np.array(mask)) if isinstance(mask, np.ndarray | list | tuple) else mask
+    if source is not None and len(source.extent.sizes) != dim:
         expected = "(height, width)" if dim == 2 else "(depth, height, width)"
-        raise InputError(f"{NAME}: a mask of shape {mask.shape}, {expected} expected")
+        raise InputError(f"{NAME}: a mask of shape {source.extent.shape}, {expected} expected")
     if dim == 3:
         if cell != "Q4" or len(circles) or len(polygons):
             raise InputError(f"{NAME}: circles, polygons and T3 are of a plane; a box in a volume is meshed by Hex8")
-        return _build_box(box, element_size, mask)
+        return _build_box(box, element_size, source)
     grid, around = build_grid_lines(box, element_size), []
     declared = convert_holes(circles, [hole for hole in polygons if not isinstance(hole, OutlinedHole)], NAME)
     outlined = [hole for hole in polygons if isinstance(hole, OutlinedHole)]
@@ -255,7 +256,7 @@ def build_structured_mesh(region: RegionLike, element_size: float, cell: Literal
     by_outline = [_cells_in_hole(grid, hole, k) for k, hole in enumerate(outlined)]
     outside = [_cells_outside(grid, hole) for hole in around]
     in_holes = [*in_declared, *by_outline, *outside]
-    kept = _kept_cells(grid, in_holes, mask)
+    kept = _kept_cells(grid, in_holes, source)
     members = _find_members(grid, in_holes, kept)
     mesh = _cut_cells(grid, kept, [*declared, *outlined, *around], members, cell, splits_flat=bool(around))
     sets = grid.sides
@@ -277,9 +278,10 @@ def refuse_impossible(box: Sequence[float], element_size: float, cell: str, name
     given = f"{name}: region = {box}, element_size = {element_size}"
     numbers = np.asarray([*box, element_size])
     if len(box) not in (4, 6) or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
-        raise InputError(f"{given}: expected (x0, y0, x1, y1) and a size, finite numbers of pixels")
+        raise InputError(f"{given}: expected (x0, y0, x1, y1) and a size, finite numbers of pixels; "
+                         "in a volume (x0, y0, z0, x1, y1, z1)")
     if not ((np.diff(np.reshape(box, (2, -1)), axis=0) > 0).all() and element_size > 0):
-        raise InputError(f"{given}: expected x0 < x1, y0 < y1 and a size above 0")
+        raise InputError(f"{given}: expected x0 < x1, y0 < y1, in a volume z0 < z1, and a size above 0")
     if cell not in ("Q4", "T3"):
         raise InputError(f'{name}: cell = "{cell}": expected "Q4" or "T3"')
 
@@ -308,7 +310,7 @@ def count_cells(region: Sequence[float], element_size: float, name: str = NAME) 
     return tuple(max(1, round(float(sides))) for sides in along)
 
 
-def _build_box(box: Sequence[float], element_size: float, mask: BoolArray | ImageSource | None) -> Mesh:
+def _build_box(box: Sequence[float], element_size: float, mask: ImageSource | None) -> Mesh:
     """Mesh a box in a volume."""
     grid = build_grid_lines(box, element_size)
     cells = grid.cells[_kept_cells(grid, [], mask)]
@@ -317,7 +319,7 @@ def _build_box(box: Sequence[float], element_size: float, mask: BoolArray | Imag
     return replace(mesh, node_sets={name: nodes for name, nodes in mesh.node_sets.items() if len(nodes)})
 
 
-def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: BoolArray | ImageSource | None) -> BoolArray:
+def _kept_cells(grid: GridLines, in_holes: Sequence[BoolArray], mask: ImageSource | None) -> BoolArray:
     """Cells in no hole and in the mask."""
     kept: BoolArray = ~np.logical_or.reduce([np.zeros(grid.n_cells, dtype=bool), *in_holes])
     if mask is not None:
@@ -337,9 +339,9 @@ def _cells_in_hole(grid: GridLines, hole: Outline, number: int) -> BoolArray:
     return np.asarray(inside)
 
 
-def _cells_in_mask(grid: GridLines, mask: BoolArray | ImageSource) -> BoolArray:
+def _cells_in_mask(grid: GridLines, mask: ImageSource) -> BoolArray:
     """Cells with at least half of their pixel centres in the mask; outside of it counts as False."""
-    extent = Window.of_size(*mask.shape[::-1]) if isinstance(mask, np.ndarray) else mask.extent
+    extent = mask.extent
     # Half-open cells, x <= centre < x', give every pixel centre to exactly one cell.
     ends = [np.ceil(line).astype(np.int64) for line in grid.lines]
     inside = [np.clip(of_line, 0, size) for of_line, size in zip(ends, extent.sizes, strict=True)]
@@ -347,12 +349,8 @@ def _cells_in_mask(grid: GridLines, mask: BoolArray | ImageSource) -> BoolArray:
     kept = np.empty(grid.n_along[::-1], dtype=bool)
     # Rows of cells, in a volume layers of them, one by one: nobody holds all of a volume's mask.
     for k, (first, last) in enumerate(pairwise(inside[-1].tolist())):
-        found: NDArray[Any]
-        if isinstance(mask, np.ndarray):
-            found = mask[first:last]
-        else:
-            # Sources refuse to read nothing.
-            found = mask.read(extent.take_rows(first, last)) if first < last else np.zeros((0, *extent.shape[1:]))
+        # Sources refuse to read nothing.
+        found = mask.read(extent.take_rows(first, last)) if first < last else np.zeros((0, *extent.shape[1:]))
         in_cells = np.count_nonzero(found, axis=0)
         for places in inside[-2::-1]:
             # Axis by axis, each of which comes last in its turn.

@@ -197,7 +197,7 @@ def _draw_points(trials: Sequence[Trial], fields: Sequence[Result | None]) -> Ar
     if result is None:
         raise ConvergenceError(f"nothing that the sweep tries measures the pair: {trials[0].failure}")
     low, high = result.mesh.nodes.min(axis=0), result.mesh.nodes.max(axis=0)
-    points = np.random.default_rng(0).uniform(low, high, (N_POINTS, 2))
+    points = np.random.default_rng(0).uniform(low, high, (N_POINTS, len(low)))
     return np.asarray(points[np.isfinite(result.at(points)).all(axis=1)])
 
 

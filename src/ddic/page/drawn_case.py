@@ -20,11 +20,10 @@ from ddic.check.pattern import Pattern, choose_region, find_pattern
 from ddic.check.starter import write_starter_case
 from ddic.errors import InputError
 from ddic.inputs.mesh_source import build_mesh_anywhere, build_plain_grid, is_plain_grid
-from ddic.io.image_file import hold_image
 from ddic.io.input_file import find_real_path
 from ddic.io.replace_on_exit import remove_abandoned, replaced_on_exit
 from ddic.io.text_files import read_text
-from ddic.io.volume_file import read_mask
+from ddic.io.volume_file import hold_source, read_mask
 from ddic.mesh.grid import GridLines
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.structured import count_cells
@@ -163,9 +162,9 @@ def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ())
         raise InputError(f"{case_file}: the name of a case file ends in .toml")
     if not case_file.absolute().parent.is_dir():
         raise InputError(f"{case_file}: its folder does not exist; create it")
-    source = hold_image(image)
-    pattern = find_pattern(source)
     if not case_file.exists():
+        source = hold_source(image, 2)
+        pattern = find_pattern(source)
         text = write_starter_case(case_file, image, deformed, pattern, choose_region(pattern, source))
         return DrawnCase(case_file, text, ScreenImage(source), pattern, CaseRun(case_file))
     if deformed:
@@ -174,10 +173,11 @@ def open_drawn_case(image: Path, case_file: Path, deformed: Sequence[Path] = ())
     loaded, _ = load_text_leniently(text, case_file)
     if loaded is not None:
         loaded.require_images("ddic draw", "write the box into the case, and look at it by ddic check --plot")
+    source = hold_source(image, 2)
     if loaded is not None and not _is_drawn_on(loaded, image):
         raise InputError(f"{image}: {case_file} has another reference image, {loaded.case.imaging.reference}; give "
                          "that")
-    return DrawnCase(case_file, text, ScreenImage(source), pattern, CaseRun(case_file))
+    return DrawnCase(case_file, text, ScreenImage(source), find_pattern(source), CaseRun(case_file))
 
 
 def _is_drawn_on(loaded: LoadedCase, image: Path) -> bool:

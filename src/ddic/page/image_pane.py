@@ -21,7 +21,7 @@ from ddic.arrays import Array
 from ddic.images.binned import ArraySource
 from ddic.images.source import ImageSource
 from ddic.images.window import Window
-from ddic.io.image_file import hold_image
+from ddic.io.volume_file import hold_source
 
 OVERVIEW = 1 << 22
 """Most pixels of the reduced image that is kept; a larger one takes memory, a smaller one reads the file more often."""
@@ -101,7 +101,7 @@ class ScreenImage:
     @classmethod
     def open(cls, path: Path) -> ScreenImage:
         """Open the file of an image; raises InputError where it is none."""
-        return cls(hold_image(path))
+        return cls(hold_source(path, 2))
 
     @classmethod
     def make_blank(cls, width: int, height: int) -> ScreenImage:

@@ -90,8 +90,8 @@ def find_length_unit(result: Result, asked: str | None = None) -> LengthUnit:
     """
     known = schema.DISPLACEMENT_PHYSICAL in result.point_data
     if asked == "physical" and not known:
-        raise InputError(f"{result.path}: --units physical: measured without images.pixel_size; give it in the case "
-                         "and run again, or draw in px")
+        raise InputError(f"{result.path}: --units physical: measured without images.pixel_size, or volumes.voxel_size; "
+                         "give it in the case and run again, or draw in px")
     if asked == "px" or not known:
         return PIXELS
     units = result.attributes[schema.UNITS]

@@ -72,7 +72,9 @@ def choose_stiffness_rotation(now: Rotation, before: Rotation) -> Rotation:
     """Choose how to turn the stiffness where the region has turned so far; ``before`` itself if it is near."""
     # Not at every step's edge: two solutions might take turns.
     is_near = before.measure_turn(now) <= KEPT_STEPS * STEP_ANGLE
-    return before if is_near else now.round_to(STEP_ANGLE)
+    rounded = now.round_to(STEP_ANGLE)
+    # In space the nearest step may be farther.
+    return before if is_near or np.array_equal(rounded.vector, before.vector) else rounded
 
 
 def fit_rigid_motion(q: Field) -> RigidMotion:

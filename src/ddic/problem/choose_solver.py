@@ -20,8 +20,9 @@ favour factors."""
 OF_MEMORY = 0.8
 """Share of the memory at hand that may be planned with: predictions are that far off."""
 
-PIXEL_BYTES = 24
-"""Memory of a pixel: f, its gradient and g's coefficients, and windows that reach beyond the mesh."""
+PIXEL_BYTES = {2: 24, 3: 8}
+"""Memory of a pixel by dimension: f, of images its gradient, g's coefficients, and windows that reach beyond the mesh;
+of volumes of 16 bit, bytes take half."""
 
 SIDES = {2: (20, 40, 80), 3: (6, 8, 10)}
 """Cells along a side of a subdomain, by dimension, among which the dual method chooses, beside one subdomain a rank."""
@@ -29,11 +30,14 @@ SIDES = {2: (20, 40, 80), 3: (6, 8, 10)}
 FEWEST_FOR_TWO_LEVELS = 8
 """Subdomains from which on a coarse space is a candidate."""
 
+ITERATIVE = ("conjugate_gradient", "matching")
+"""Methods by conjugate gradients, of which the number of iterations is a guess."""
+
 LEAST_LIMIT = 100
-"""Iterations that conjugate gradients are given at least."""
+"""Iterations that these are given at least."""
 
 OF_PREDICTED = 4
-"""Times the predicted iterations that conjugate gradients are given where nothing can take their place."""
+"""Times the predicted iterations that they are given where nothing can take their place."""
 
 OF_DUAL = {"weighting": "consistent", "preconditioner": "auto", "recycle": True, "local_inverse": "auto"}
 """Keys that only the interface problem asks, with their defaults: who gives another value wants it."""
@@ -61,7 +65,7 @@ def weigh_candidates(inputs: Inputs, sizes: RegionSizes, n_ranks: int, memory: i
     case, task = inputs.case, _describe_task(inputs, sizes, n_ranks)
     costs = sorted((predict_costs(task, candidate) for candidate in _list_candidates(inputs, sizes, task)),
                    key=lambda found: found.seconds)
-    room = OF_MEMORY * (memory - PIXEL_BYTES * sizes.work / n_ranks)
+    room = OF_MEMORY * (memory - PIXEL_BYTES[task.dim] * sizes.work / n_ranks)
     fitting = [found for found in costs if found.memory <= room]
     chosen = fitting[0] if fitting else min(costs, key=lambda found: found.memory)
     limit = _limit_iterations(chosen, fitting, case.solver)
@@ -95,7 +99,7 @@ def _list_candidates(inputs: Inputs, sizes: RegionSizes, task: StepTask) -> Iter
         yield StepCandidate("monolithic", 1)
     if _are_iterations_predictable(inputs, sizes):
         yield StepCandidate("conjugate_gradient", fewest)
-        if task.is_regularized:
+        if task.is_regularized and task.constants.matching is not None:
             yield StepCandidate("matching", fewest)
 
 
@@ -145,15 +149,15 @@ def _state(solver: SolverSection, chosen: StepCosts, limit: int | None) -> Solve
         changes["preconditioner"] = candidate.preconditioner
         if solver.partition in ("auto", "metis"):
             changes["subdomains"] = candidate.n_subdomains
-    if candidate.method == "conjugate_gradient" and limit is None:
+    if candidate.method in ITERATIVE and limit is None:
         changes["max_iterations"] = max(solver.max_iterations, ceil(OF_PREDICTED * chosen.n_iterations))
     return solver.model_copy(update=changes)
 
 
 def _limit_iterations(chosen: StepCosts, fitting: list[StepCosts], solver: SolverSection) -> int | None:
-    """Iterations of a step that cost as much as factorising instead; None without conjugate gradients or a factor."""
+    """Iterations of a step that cost as much as factorising instead; None without iterations or a factor."""
     factors = [found for found in fitting if found.candidate.method == "assembled"]
-    if chosen.candidate.method != "conjugate_gradient" or not factors:
+    if chosen.candidate.method not in ITERATIVE or not factors:
         return None
     as_long = factors[0].seconds / chosen.step * chosen.n_iterations
     return min(solver.max_iterations, ceil(max(as_long, LEAST_LIMIT)))

@@ -293,7 +293,8 @@ def update_reference(team: Team, problem: ReferenceProblem, frame: Frame, displa
 def _describe_first(team: Team, problem: ReferenceProblem) -> UpdatedReference:
     """The mesh and its parts in the first reference image; collective."""
     region = problem.region
-    nodes, parts = np.empty((region.n_nodes, 2)), np.empty(region.n_cells, dtype=np.int64)
+    nodes = np.empty((region.n_nodes, problem.inputs.case.dim))
+    parts = np.empty(region.n_cells, dtype=np.int64)
     for index, node_ids, of_nodes, cell_ids in team.gather_lists(
             [(s.index, s.node_ids, s.mesh.nodes, s.cell_ids) for s in problem.subdomains]):
         nodes[node_ids], parts[cell_ids] = of_nodes, index

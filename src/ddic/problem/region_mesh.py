@@ -470,7 +470,12 @@ def _choose_kinematics(inputs: Inputs, mesh: Mesh, tying: Tying | None) -> Regio
             raise InputError("kinematics: near fields with meshes of their own have kinematics of their own; "
                              "leave near.mesh or the kinematics out")
         return TiedRegion(mesh, tying.weights)
-    return NodalRegion(mesh) if inputs.choose_kinematics is None else inputs.choose_kinematics(mesh)
+    if inputs.choose_kinematics is None:
+        return NodalRegion(mesh)
+    if inputs.case.solver.method == "matching":
+        raise InputError('kinematics: solver.method = "matching" asks for unknowns that displace nodes; use another '
+                         "method")
+    return inputs.choose_kinematics(mesh)
 
 
 def _costs(cameras: Sequence[Camera], mesh: Mesh, measured: Sequence[MeasuredCells]) -> Array:

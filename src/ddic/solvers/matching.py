@@ -116,7 +116,8 @@ class MatchingPreconditioner(PetscOwner):
             columns.append(np.where(chosen, sums, 0.0).reshape(-1, self._dim))
         blocks = np.stack(columns, axis=2)
         total, n_chosen = self._team.ordered_sum([np.array([np.trace(blocks, axis1=1, axis2=2).sum(), chosen.sum()])])
-        return find_roots(blocks, LEAST * total / max(n_chosen, 1.0))
+        # Where none is chosen, any block that has an inverse.
+        return find_roots(blocks, LEAST * total / n_chosen if n_chosen else 1.0)
 
     def _cut_stiffness(self, *, columns_controlled: bool) -> ParallelEntries:
         """sqrt(eta) K of controlled rows, and columns that are, or that are not."""
@@ -196,6 +197,6 @@ def find_polynomial(extension: float) -> Array:
         of_inside = ROUGH / (1 - mass + ROUGH / extension)
         return np.asarray(1 / np.sqrt(mass + 2 * of_inside))
 
-    # Through as many values as it has coefficients, where Chebyshev's polynomial of the next degree is zero.
-    masses = (1 + np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))) / 2
+    # Through as many values as it has coefficients, where Chebyshev's polynomial is extreme: both ends are among them.
+    masses = (1 + np.cos(np.pi * np.arange(DEGREE + 1) / DEGREE)) / 2
     return np.linalg.solve(np.vander(masses, increasing=True), find_inverse_root(masses))

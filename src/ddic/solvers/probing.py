@@ -228,7 +228,7 @@ class SampledCells:
 
 
 def prepare_samples(covariances: Array, cell_ids: IntArray, places: IntArray,
-                    camera: int, n_samples: int) -> SampledCells:
+                    camera: int, n_samples: int, n_forces: int) -> SampledCells:
     """Prepare forces with a covariance that is independent from cell to cell, the same whatever the partition.
 
     Each column of a cell's factor takes a sequence of +1 and -1 over the samples. Sequences of Walsh are orthogonal, so
@@ -238,20 +238,19 @@ def prepare_samples(covariances: Array, cell_ids: IntArray, places: IntArray,
 
     ``covariances`` are (n_cells, n, n), ``cell_ids`` the cells' numbers in the whole mesh, ``places`` their columns and
     rows, counted in cells, (n_cells, dim), ``camera`` its number, for the noise of each is its own, ``n_samples`` as
-    ``count_samples`` counts them.
+    ``count_samples`` counts them, ``n_forces`` the largest n of all cells of the mesh.
     """
     values, vectors = np.linalg.eigh(covariances)
     # Rounding may leave eigenvalues of nothing below zero.
     factors = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    n = covariances.shape[1]
     # Cells of other tiles have signs that have nothing to do with each other.
-    n_tiles = n_samples // n
+    n_tiles = n_samples // n_forces
     tiles = places @ _SHIFTS[n_tiles] + camera
     # Those next to each other in an irregular mesh go where no near one is.
     tiles = (tiles + n_tiles // 4 * _QUARTERS[_number_within_places(places) % len(_QUARTERS)]) % n_tiles
-    columns = np.arange(n)
-    rows = tiles[:, None] * n + columns
-    numbers = cell_ids[:, None] * n + columns
+    columns = np.arange(covariances.shape[1])
+    rows = tiles[:, None] * n_forces + columns
+    numbers = cell_ids[:, None] * n_forces + columns
     return SampledCells(factors, rows, 1.0 - 2.0 * generate_bits(numbers, camera))
 
 

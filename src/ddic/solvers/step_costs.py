@@ -8,6 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from ddic.parallel.team import require_held
+
 LARGEST_ARRAYS = {2: 12_800, 3: 2_187}
 """Unknowns of a subdomain, 80 x 80 or 8 x 8 x 8 cells, up to which S_s and its inverse are arrays (``DENSE_LIMIT`` in
 ``solvers/dual/preconditioner.py``), by dimension."""
@@ -56,6 +58,26 @@ class Factor:
 
 
 @dataclass(frozen=True)
+class MatchingCosts:
+    """Costs of conjugate gradients with the matching preconditioner, an unknown.
+
+    Attributes
+    ----------
+    set_up, iteration : float
+        Seconds.
+    n_iterations : float
+        Of an inexact step, whatever the cut-off wavelength.
+    memory : float
+        Bytes beside those of M and Kbar.
+    """
+
+    set_up: float
+    iteration: float
+    n_iterations: float
+    memory: float
+
+
+@dataclass(frozen=True)
 class CostConstants:
     """What a machine takes for the parts of a linear step, an unknown; pairs are without and with regularization.
 
@@ -92,9 +114,8 @@ class CostConstants:
         Of an inexact step without regularization, and with the least.
     cg_iterations_by_square : float
         The same over the square of the cut-off wavelength in cells.
-    matching_set_up, matching_product, matching_iterations, matching_memory : float
-        Of conjugate gradients with the matching preconditioner: seconds of the set-up, seconds of an iteration,
-        iterations of an inexact step, bytes beside those of M and Kbar.
+    matching : MatchingCosts or None
+        Of conjugate gradients with the matching preconditioner; None where it was not measured.
     """
 
     system_memory: float
@@ -115,10 +136,7 @@ class CostConstants:
     cg_product_calls: tuple[float, float]
     cg_iterations: float
     cg_iterations_by_square: float
-    matching_set_up: float
-    matching_product: float
-    matching_iterations: float
-    matching_memory: float
+    matching: MatchingCosts | None = None
 
 
 PLANE = CostConstants(
@@ -152,10 +170,6 @@ PLANE = CostConstants(
     cg_product_calls=(0.0, 3.1e-05),
     cg_iterations=12.0,
     cg_iterations_by_square=1.0,
-    matching_set_up=2e-5,
-    matching_product=1.5e-6,
-    matching_iterations=12.0,
-    matching_memory=1500.0,
 )
 """Fitted on 26 November 2026 to runs of ``bench.interface_solvers`` with 10,000 to 250,000 unknowns on one and two
 ranks of a shared two-core machine: seconds from 60,000 regularized unknowns on are within a quarter, memory a half."""
@@ -192,10 +206,7 @@ VOLUME = CostConstants(
     cg_product_calls=(0.0, 3.1e-05),
     cg_iterations=12.0,
     cg_iterations_by_square=1.0,
-    matching_set_up=4e-5,
-    matching_product=1.5e-6,
-    matching_iterations=12.0,
-    matching_memory=4000.0,
+    matching=MatchingCosts(set_up=4e-05, iteration=1.5e-06, n_iterations=12.0, memory=4000.0),
 )
 
 MEASURED = {2: PLANE, 3: VOLUME}
@@ -317,7 +328,7 @@ def predict_costs(task: StepTask, candidate: StepCandidate) -> StepCosts:
     if candidate.method == "conjugate_gradient":
         return _predict_conjugate_gradient(task, candidate)
     if candidate.method == "matching":
-        return _predict_matching(task, candidate)
+        return _predict_matching(task, candidate, require_held(task.constants.matching))
     # The monolithic step is the factor of the only subdomain, without an interface.
     return _predict_dual(task, candidate)
 
@@ -351,12 +362,10 @@ def _predict_conjugate_gradient(task: StepTask, candidate: StepCandidate) -> Ste
                      task.n_share * known.system_memory)
 
 
-def _predict_matching(task: StepTask, candidate: StepCandidate) -> StepCosts:
-    """As many iterations whatever the cut-off wavelength."""
-    known, n = task.constants, task.n_share
-    step = known.matching_iterations * n * known.matching_product
-    return StepCosts(candidate, n * known.matching_set_up, step, task.n_steps, known.matching_iterations,
-                     n * (known.system_memory + known.matching_memory))
+def _predict_matching(task: StepTask, candidate: StepCandidate, known: MatchingCosts) -> StepCosts:
+    n, iterations = task.n_share, known.n_iterations
+    return StepCosts(candidate, n * known.set_up, iterations * n * known.iteration, task.n_steps, iterations,
+                     n * (task.constants.system_memory + known.memory))
 
 
 def _predict_dual(task: StepTask, candidate: StepCandidate) -> StepCosts:

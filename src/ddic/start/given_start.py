@@ -296,7 +296,7 @@ def _balance(mesh: Mesh, prescribed: Array, known: BoolArray) -> Array:
     if not touched.any():
         return values
     part, nodes = mesh.create_submesh(np.flatnonzero(touched))
-    stiffness = assemble_stiffness(part, Material()).tocsr()
+    stiffness = assemble_stiffness(part, Material.default(mesh.dim)).tocsr()
     is_free = np.repeat(~known[nodes], mesh.dim)
     free, held = np.flatnonzero(is_free), np.flatnonzero(~is_free)
     inside = stiffness[free][:, free]

@@ -57,6 +57,9 @@ have 0.5 at the best of all places."""
 MOST_STEPS, SMALL_STEP = 15, 0.05
 """Of Gauss-Newton on a ball, and motion of it, blocks, below which there is none."""
 
+RIDGE = 1e-6
+"""Of the mean diagonal entry, added to each: a larger one slows Gauss-Newton down."""
+
 MOST_SOUGHT = 6
 """Balls that are sought in turn, each where those before led least: what parts is found from a few of them."""
 
@@ -198,7 +201,8 @@ class _Volumes:
             coefficient = float(of_f @ of_g / np.prod(spreads))
             design = by_motion[seen] - by_motion[seen].mean(axis=0)
             normal = design.T @ design
-            normal += 1e-6 * np.diag(normal.diagonal())
+            # A volume that is the same along an axis tells no motion along it.
+            normal += RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
             # What motion of f, before all that is known, makes it like g.
             step = np.linalg.solve(normal, design.T @ (of_g * (spreads[0] / spreads[1]) - of_f))
             inverse = np.linalg.inv(np.eye(3) + step[:9].reshape(3, 3))

@@ -267,9 +267,10 @@ def _sample(model: ResidualModel, covariances: ByView[Array], case: Case, transf
     """Right-hand sides whose covariance is given cell by cell, for each view; collective."""
     n_samples = count_samples(model.subdomains[0].mesh.dim, is_regularized=case.regularization is not None)
     places = place_cells(model.team, model.subdomains)
+    n_forces = model.team.maximum(max(of_view.shape[1] for of_views in covariances for of_view in of_views))
 
     def prepare(view: FrameView, of_view: Array, subdomain: Subdomain, of_cells: IntArray) -> SampledCells:
-        return prepare_samples(of_view, subdomain.cell_ids, of_cells, view.camera, n_samples)
+        return prepare_samples(of_view, subdomain.cell_ids, of_cells, view.camera, n_samples, n_forces)
 
     cells = model.views.map(prepare, covariances, model.views.fill(model.subdomains), model.views.fill(places))
     return NoiseForces(model.views, cells, n_samples, transfer)
@@ -357,13 +358,14 @@ def estimate_from_residual(model: ResidualModel, evaluation: Evaluation, q: Fiel
 
 def _measure_at_rest(problem: WeightedProblem, path: Path) -> float:
     """Noise of the reference image and another one of the specimen as it is there; collective."""
-    team, reference = problem.team, problem.reference.inputs.cameras[0].reference.image
+    team, inputs = problem.team, problem.reference.inputs
+    reference = inputs.cameras[0].reference.image
     nodes = np.concatenate([s.mesh.nodes for s in problem.reference.subdomains])
     low, high = -team.maximum(-nodes.min(axis=0)), team.maximum(nodes.max(axis=0))
     window = Window.between(low.astype(int), high.astype(int)).intersection(reference.extent)
     noise = team.on_root(lambda: estimate_rest_noise(reference, hold_source(path, len(low)), window))
     if not np.isfinite(noise):
         least = " x ".join([str(BLOCKS[len(low)])] * len(low))
-        raise as_collective(InputError(f"images.at_rest: {path}: the mesh covers fewer than {least} px, from which no "
-                                       "noise can be told; give images.noise"))
+        raise as_collective(InputError(f"{inputs.case.imaging_name}.at_rest: {path}: the mesh covers fewer than "
+                                       f"{least} px, from which no noise can be told; give noise in its place"))
     return noise
