@@ -408,10 +408,10 @@ def test_large_motion(tmp_path: Path) -> None:
 
 def test_volume(tmp_path: Path) -> None:
     zz, xz, rms, _, regularized = run_script("volume", tmp_path)
-    # 343 nodes, of which noise moves each by some hundredths of a voxel.
-    assert zz == pytest.approx(0.010, abs=5e-4)
-    assert xz == pytest.approx(0.002, abs=5e-4)
-    assert rms < 0.02
+    # Noise moves each of 343 nodes by some hundredths of a voxel, and the mean strain of 48 voxels by a ten thousandth.
+    assert zz == pytest.approx(0.010, abs=2e-4)
+    assert xz == pytest.approx(0.002, abs=2e-4)
+    assert rms < 0.03
     assert regularized < rms
 
 

@@ -49,6 +49,9 @@ REST_OF_CASE: dict[str, Any] = {
 
 LAUNCHERS = ("mpiexec", "mpirun", "srun")
 
+OF_SIDECAR = {"shape", "type", "byte_order", "offset"}
+"""Keys of the file beside raw numbers of a volume."""
+
 PROBES = {"point", "line", "gauge", "extensometer"}
 
 
@@ -109,16 +112,19 @@ def find_spoken_faults(code: str) -> list[str]:
 
 
 def _find_toml_faults(text: str) -> list[str]:
-    """Validate a file of probes, a mapping file, or a case, of which only a part may be given."""
+    """Validate a sidecar, a file of probes, a mapping file, or a case, of which only a part may be given."""
     data = tomllib.loads(text)
+    if "shape" in data:
+        return [f"a sidecar has no key {key}" for key in data if key not in OF_SIDECAR]
     try:
         if PROBES.issuperset(data):
             parse_probes(text, Path("probes.toml"))
         elif "homography" in data:
             _read_as_file(read_mapping_file, text)
         else:
-            images = {**REST_OF_CASE["images"], **data.get("images", {})}
-            convert_to_case({**REST_OF_CASE, **convert_shorthand(data), "images": images}, "case.toml")
+            name = "volumes" if "volumes" in data else "images"
+            images = {**REST_OF_CASE["images"], **data.get(name, {})}
+            convert_to_case({"mesh": REST_OF_CASE["mesh"], **convert_shorthand(data), name: images}, "case.toml")
     except InputError as error:
         return str(error).splitlines()
     return []

@@ -74,7 +74,7 @@ def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: py
     ("[solver]\nsubdomains = 0", "solver.subdomains = 0: expected at least 1"),
     ("[solver]\ntolerance = 1.0", "solver.tolerance = 1.0: expected less than 1"),
     ('[solver]\nmethod = "Dual"',
-     'solver.method = "Dual": expected "auto", "dual", "assembled", "conjugate_gradient" or "monolithic"'),
+     'solver.method = "Dual": expected "auto", "dual", "assembled", "conjugate_gradient", "matching" or "monolithic"'),
     ("[correlation]\nspline_degree = 4", "correlation.spline_degree = 4: expected 3 or 5"),
     ('[gauss_newton]\ntolerance = "a"', 'gauss_newton.tolerance = "a": expected a number'),
     ("[gauss_newton]\nrms_tolerance = nan", "gauss_newton.rms_tolerance = nan: expected a finite number"),

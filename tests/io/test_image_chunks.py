@@ -80,9 +80,9 @@ def test_chunks_under_a_window_are_those_that_hold_its_pixels(width: int, height
     grid = ChunkGrid(Window.of_size(width, height))
     x0, y0 = data.draw(st.integers(-50, width)), data.draw(st.integers(-50, height))
     window = Window((x0, y0), (x0 + data.draw(st.integers(0, 600)), y0 + data.draw(st.integers(0, 600))))
-    n_rows = -(-height // grid.shape[0])
-    seen = [n for n in range(grid.n_columns * n_rows)
+    n_chunks = -(-height // grid.shape[0]) * -(-width // grid.shape[1])
+    seen = [n for n in range(n_chunks)
             if grid.locate_chunk(n).intersection(Window.of_size(width, height)).intersection(window).n_pixels]
     assert grid.find_chunks(window) == seen
-    parts = [grid.locate_chunk(n).intersection(Window.of_size(width, height)) for n in range(grid.n_columns * n_rows)]
+    parts = [grid.locate_chunk(n).intersection(Window.of_size(width, height)) for n in range(n_chunks)]
     assert sum(part.n_pixels for part in parts) == width * height

@@ -105,7 +105,7 @@ def test_layout_of_the_file(tmp_path: Path, write_result: Write, pieces: list[Pi
         assert not kind.is_variable_str()
         assert kind.get_cset() == h5py.h5t.CSET_ASCII
         assert list(file["VTKHDF"].attrs["Version"]) == [2, 0]
-        assert file.attrs["ddic_schema"] == "1.9"
+        assert file.attrs["ddic_schema"] == "1.10"
         assert file["VTKHDF/Offsets"].shape == (sum(len(p.types) + 1 for p in pieces),)
         assert file["VTKHDF/PointData/displacement"].attrs["unit"] == "px"
         image = file["residual_image/residual"]
@@ -122,7 +122,7 @@ def test_residual_is_nan_where_no_chunk_was_written(tmp_path: Path) -> None:
         write_residual_image(writer, grid, {number: np.full(grid.shape, number) for number in (5, 1)})
     with h5py.File(path) as file:
         image = file["residual_image/residual"][...]
-    expected = np.full((grid.height, grid.width), np.nan, np.float32)
+    expected = np.full(grid.extent.shape, np.nan, np.float32)
     expected[:CHUNK_SIDES[2], CHUNK_SIDES[2]:2 * CHUNK_SIDES[2]] = 1
     expected[CHUNK_SIDES[2]:, 2 * CHUNK_SIDES[2]:] = 5
     np.testing.assert_array_equal(image, expected)

@@ -14,6 +14,7 @@ from ddic.case.loader import load_case
 from ddic.check.case import check_case
 from ddic.cli.app import command_line
 from ddic.errors import InputError
+from ddic.images.window import Window
 from ddic.inputs.cameras import assign_cells, open_cameras
 from ddic.inputs.inputs import Inputs
 from ddic.inputs.mesh_source import build_meshes
@@ -153,7 +154,7 @@ def test_near_fields_with_and_without_a_mesh(tmp_path: Path) -> None:
     second = (f'[[near]]\nreference = "near_f.tif"\ndeformed = "near_g.tif"\nratio = {RATIO}\noffset = [-232, -130]\n'
               "margin = 2.0\n")
     case = load_case(write(tmp_path, "[solver]\nsubdomains = 9\n", NEAR_MESH.format(size=3.4) + second)).case
-    mesh, tying = build_meshes(case, *FAR)
+    mesh, tying = build_meshes(case, Window.of_size(*FAR))
     cameras = open_cameras(case, open_image)
     labels = assign_cells(cameras, mesh, tying)
     np.testing.assert_array_equal(labels == 1, tying.cameras == 1)

@@ -123,7 +123,7 @@ def test_frames_that_share_factors_are_counted(tmp_path: Path) -> None:
 
 def test_the_dual_method_is_split_as_is_fastest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     costs = choosing.predict_costs
-    monkeypatch.setattr(choosing, "SIDES", (3,))
+    monkeypatch.setattr(choosing, "SIDES", {2: (3,)})
     monkeypatch.setattr(choosing, "predict_costs", lambda task, candidate: replace(
         costs(task, candidate), set_up=0.0 if candidate.preconditioner == "two_level" else 3600.0))
     chosen = choose(tmp_path, more=LONG, n_ranks=2).case.solver

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 from ddic.functionals.regularization import Material, integrate_cell_stiffness
 from ddic.kinematics.nodal import NodalRegion
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.rotation import build_rotation
+from ddic.mesh.rotation import Rotation, build_rotation
 from ddic.parallel.distribution import split_evenly
 from ddic.parallel.field import Field
 from ddic.parallel.team import Team
@@ -47,7 +47,7 @@ def hole(mesh: Mesh, low: float = 70.0, high: float = 125.0) -> NDArray[np.bool_
 
 
 def fill(angle: float = 0.0, chosen: NDArray[np.bool_] | None = None) -> FilledCells:
-    return fill_cells(alone(), [hole(MESH) if chosen is None else chosen], WEIGHT, angle)
+    return fill_cells(alone(), [hole(MESH) if chosen is None else chosen], WEIGHT, Rotation(np.array([angle])))
 
 
 def field(of: Array) -> Field:
@@ -167,7 +167,7 @@ def test_subdomains_add_up_to_the_whole() -> None:
     random = np.random.default_rng(3)
     q = turned(0.2) + random.normal(0.0, 0.1, MESH.n_dofs)
     (expected,) = fill(0.2).compute_forces(field(q))
-    filled = fill_cells(own, [chosen[s.cell_ids] for s in own], WEIGHT, 0.2)
+    filled = fill_cells(own, [chosen[s.cell_ids] for s in own], WEIGHT, Rotation(np.array([0.2])))
     total = np.zeros(MESH.n_dofs)
     for s, forces in zip(own, filled.compute_forces(Field(team, own, [q[s.numbers] for s in own])), strict=True):
         np.add.at(total, s.numbers, forces)

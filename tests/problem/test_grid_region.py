@@ -60,7 +60,8 @@ def test_rectangles_are_of_about_equal_size(n: int) -> None:
     cells = np.array([block.n_cells for block in blocks])
     # Sides of 12 cells and more are cut to half a cell: 1 / 24 along each of both.
     assert np.abs(cells / cells.mean() - 1).max() <= 2 / 24
-    assert max(max(len(b.columns), len(b.rows)) / min(len(b.columns), len(b.rows)) for b in blocks) <= 2.5
+    sides = [list(map(len, block.ranges)) for block in blocks]
+    assert max(max(along) / min(along) for along in sides) <= 2.5
 
 
 @pytest.mark.parametrize("blocks", [(1, 1), (4, 3), (3, 5), (20, 2)])
