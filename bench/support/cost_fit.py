@@ -247,7 +247,8 @@ def _fit_matching(matching: Sequence[Record]) -> MatchingCosts:
     iterations = [max(r["inexact_iterations"], 1) for r in matching]
     return MatchingCosts(
         set_up=_median(r["setup_cpu"] / n for r, n in zip(matching, shares, strict=True)),
-        iteration=_median(r["inexact_cpu"] / k / n for r, k, n in zip(matching, iterations, shares, strict=True)),
+        iteration=Growth(*_fit_pair([(n, n * _cells(r)) for r, n in zip(matching, shares, strict=True)],
+                                    [r["inexact_cpu"] / k for r, k in zip(matching, iterations, strict=True)])),
         n_iterations=_median(iterations),
         memory=_median(_memory(r) / n for r, n in zip(matching, shares, strict=True)))
 

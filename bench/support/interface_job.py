@@ -14,6 +14,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +90,10 @@ def method(team: Team, problem: TiledProblem, solver: str, per_subdomain: int | 
            ) -> tuple[dict[str, Any], Values]:
     """One linear step as ddic's own method solves it, on METIS subdomains of squares and blocks of cubes."""
     count = max(round((problem.n / per_subdomain) ** problem.dim), 2) if per_subdomain else team.size
-    along = round(problem.n / per_subdomain) if per_subdomain else 1
-    blocks = (along,) * problem.dim if per_subdomain else (1,) * (problem.dim - 1) + (count,)
+    blocks = (1,) * (problem.dim - 1) + (count,)
+    if problem.dim == 3 and per_subdomain:
+        blocks = (round(problem.n / per_subdomain),) * 3
+        count = prod(blocks)
 
     def split() -> tuple[list[Any], NDArray[np.float64]]:
         mesh = problem.rows_of_cells(0, problem.n)

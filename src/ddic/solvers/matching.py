@@ -2,8 +2,8 @@
 
 It matches A by the square of an operator of second order, as Pearson & Wathen (2012) do in optimal control:
 |sqrt(eta) K x|^2 + |D x|^2 and |sqrt(eta) K x + D x|^2 differ by a factor of two at most where D^2 is M, here its
-lumped blocks of nodes. On controlled unknowns B = sqrt(eta) K + D is inverted by multigrid, nearly. What is left are
-the others, c for controlled and b for those at loaded edges: with x_c = E x_b = -B^-1 sqrt(eta) K_cb x_b, which decays
+lumped blocks of nodes. On controlled unknowns B = sqrt(eta) K + D is inverted by a polynomial of Chebyshev, nearly: what
+it leaves of B x counts, not of x, which is why cycles of multigrid take more iterations. What is left are the others, c for controlled and b for those at loaded edges: with x_c = E x_b = -B^-1 sqrt(eta) K_cb x_b, which decays
 inwards over the cut-off wavelength, the energy is
 
     |w|^2 + x_b^T S x_b,   S = M_bb + 2 (D E)^T D E,   w = B x_c + sqrt(eta) K_cb x_b.
@@ -15,6 +15,7 @@ to smooth fields and 0 to rough ones, (D E)^T D E is near D_b ROUGH / (1 - N + R
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import ceil
 
 import numpy as np
 from petsc4py import PETSc
@@ -23,8 +24,19 @@ from scipy import sparse
 from ddic.arrays import Array, BoolArray
 from ddic.parallel.team import Team
 from ddic.solvers.exchange import ParallelEntries
-from ddic.solvers.petsc import MATCHING, PetscOwner, PetscStack, create_ksp
+from ddic.solvers.petsc import PetscOwner, PetscStack
 from ddic.solvers.whole_system import WholeSystem
+
+LEFT = 0.3
+"""What the polynomial leaves of forces on controlled unknowns, relative to the smallest eigenvalue over the largest: rough
+forces of which more is left displace more than smooth ones. A larger value takes iterations, a smaller one products."""
+
+LOWEST = 4.0
+"""Eigenvalue of B over its diagonal from which on the polynomial inverts it, over that of a translation: a region held
+at its edges has few below."""
+
+N_POWERS, ABOVE = 20, 1.1
+"""Products with B from which its largest eigenvalue is told, and how far above what they tell it may be."""
 
 ROUGH = 0.1
 """(D E)^T D E of fields that are rough along the surface. Half and twice as much change the iterations by a tenth."""
@@ -39,8 +51,6 @@ singular."""
 
 class MatchingPreconditioner(PetscOwner):
     """Context of PETSc's shell preconditioner, symmetric and positive definite.
-
-    PETSc options (prefix ``matching_``) of B^-1: ``-matching_ksp_max_it``, ``-matching_pc_gamg_threshold``...
 
     Parameters
     ----------
@@ -57,8 +67,12 @@ class MatchingPreconditioner(PetscOwner):
             self._controlled = self._add_up(s.controlled / s.multiplicity for s in subdomains) > 0.5
             self._coupling = stack.keep(self._cut_stiffness(columns_controlled=False).create_matrix())
             root = self._find_root(self._controlled)
-            self._inverse = stack.keep(create_ksp(team.comm, MATCHING))
-            self._set_up_inverse(stack.keep(self._assemble_operator(root)))
+            self._operator = stack.keep(self._assemble_operator(root))
+            self._work = [stack.keep(self._operator.createVecRight()) for _ in range(4)]
+            self._inverse_diagonal = stack.keep(self._operator.createVecRight())
+            self._operator.getDiagonal(self._inverse_diagonal)
+            self._interval = self._find_interval(root, self._inverse_diagonal.getArray())
+            self._inverse_diagonal.reciprocal()
             surface_root = self._find_root(~self._controlled)
             self._surface_scale = np.linalg.inv(surface_root)
             self._surface_mass = stack.keep(self._assemble_surface_mass())
@@ -76,9 +90,47 @@ class MatchingPreconditioner(PetscOwner):
 
     def _solve_inside(self, forces: Array) -> Array:
         """B^-1 times forces on controlled unknowns, nearly; the others' are 0 and stay so."""
-        self._given.setArray(forces)
-        self._inverse.solve(self._given, self._result)
-        return np.array(self._result.getArray())
+        lowest, highest = self._interval
+        middle, half = (highest + lowest) / 2, (highest - lowest) / 2
+        # PETSc's vectors, in place: with arrays they take half as long as the products.
+        rest, step, solution, product = self._work
+        rest.setArray(forces)
+        step.pointwiseMult(self._inverse_diagonal, rest)
+        step.scale(1 / middle)
+        step.copy(solution)
+        ratio = half / middle
+        for _ in range(self._degree):
+            self._operator.mult(step, product)
+            rest.axpy(-1.0, product)
+            before, ratio = ratio, 1 / (2 * middle / half - ratio)
+            product.pointwiseMult(self._inverse_diagonal, rest)
+            step.axpby(2 * ratio / half, before * ratio, product)
+            solution.axpy(1.0, step)
+        return np.array(solution.getArray())
+
+    @property
+    def _degree(self) -> int:
+        """Of the polynomial: as the root of the condition number, hence as the cut-off wavelength over the elements."""
+        lowest, highest = self._interval
+        left = LEFT * lowest / highest
+        return ceil(np.arccosh(1 / left) / np.arccosh((highest + lowest) / (highest - lowest))) - 1
+
+    def _find_interval(self, root: Array, diagonal: Array) -> tuple[float, float]:
+        """Smallest and largest eigenvalue of B over its diagonal, about: of a translation, and by powers."""
+        diagonals = np.array([np.trace(root, axis1=1, axis2=2)[self._controlled[::self._dim]].sum(),
+                              diagonal[self._controlled].sum()])
+        of_texture, of_all = self._team.ordered_sum([diagonals])
+        if of_all == 0:
+            # Nothing is controlled, and only zeros are given.
+            return 1.0, 2.0
+        values = np.random.default_rng(self._team.rank).standard_normal(len(self._controlled)) * self._controlled
+        energies = [0.0, 1.0]
+        for _ in range(N_POWERS):
+            forces = self._multiply(self._operator, values)
+            energies = self._team.ordered_sum([np.array([values @ forces, values @ (values * diagonal)])])
+            values = forces / diagonal / np.sqrt(energies[1])
+        highest = ABOVE * energies[0] / energies[1]
+        return float(min(LOWEST * of_texture / of_all, highest / 2)), float(highest)
 
     def _solve_surface(self, forces: Array) -> Array:
         """S^-1 times forces on the other unknowns, nearly."""
@@ -136,9 +188,7 @@ class MatchingPreconditioner(PetscOwner):
         owned = self._team.offset(self._whole.n_owned) + np.arange(self._whole.n_owned)
         nodes = np.arange(len(root) + 1)
         entries.add_sparse(owned, owned, sparse.bsr_matrix((root, nodes[:-1], nodes)).tocsr())
-        matrix = entries.create_matrix(self._dim)
-        matrix.setOption(PETSc.Mat.Option.SPD, True)
-        return matrix
+        return entries.create_matrix(symmetric_blocks=self._dim)
 
     def _assemble_surface_mass(self) -> PETSc.Mat:
         """M_bb."""
@@ -147,18 +197,6 @@ class MatchingPreconditioner(PetscOwner):
             others = ~system.subdomain.controlled
             entries.add_sparse(numbers, numbers, scale(system.hessian, others, others))
         return entries.create_matrix()
-
-    def _set_up_inverse(self, matrix: PETSc.Mat) -> None:
-        """Coarsen B with the rigid motions, which K does not see."""
-        with PetscStack() as stack:
-            subdomains = [system.subdomain for system in self._whole.systems]
-            places = self._add_up(s.mesh.nodes.ravel() / s.multiplicity for s in subdomains)
-            coordinates = stack.keep(matrix.createVecRight())
-            coordinates.setArray(places)
-            matrix.setNearNullSpace(stack.keep(PETSc.NullSpace().createRigidBody(coordinates)))
-        self._inverse.setOperators(matrix)
-        self._inverse.setFromOptions()
-        self._inverse.setUp()
 
     def _measure_extension(self, root: Array, surface_root: Array) -> float:
         """T = |D E x|^2 / |D_b x|^2 of a translation x; 0 where all unknowns are controlled."""

@@ -147,7 +147,6 @@ INVERSE = "inverse_"
 SCHUR = "schur_"
 ASSEMBLED = "assembled_"
 CONJUGATE_GRADIENT = "cg_"
-MATCHING = "matching_"
 
 _FACTOR = {"ksp_type": "preonly", "pc_type": "cholesky"}
 _FACTOR_BY_MUMPS = {**_FACTOR, PACKAGE: "mumps"}
@@ -182,21 +181,6 @@ DEFAULTS: dict[str, dict[str, str]] = {
         "ksp_type": "cg",
         "ksp_norm_type": "preconditioned",
         "pc_type": "jacobi",
-    },
-    MATCHING: {
-        # Two cycles, of an error that the polynomial damps further.
-        "ksp_type": "chebyshev",
-        "ksp_max_it": "2",
-        "ksp_norm_type": "none",
-        "ksp_chebyshev_esteig": "0.8,0,0,1.05",
-        "pc_type": "gamg",
-        # Aggregates of all within two cells: the next level then has a thirtieth of the unknowns.
-        "pc_gamg_square_graph": "1",
-        "pc_gamg_threshold": "-1",
-        # Successive over-relaxation, PETSc's default, is not symmetric over ranks.
-        "mg_levels_ksp_type": "chebyshev",
-        "mg_levels_ksp_max_it": "3",
-        "mg_levels_pc_type": "jacobi",
     },
     DUAL: {
         # Keeps what the preconditioner gave for each direction: its products in single precision cost no digit.

@@ -63,16 +63,18 @@ class MatchingCosts:
 
     Attributes
     ----------
-    set_up, iteration : float
+    set_up : float
         Seconds.
+    iteration : Growth
+        Seconds, growing with the cut-off wavelength in cells.
     n_iterations : float
-        Of an inexact step, whatever the cut-off wavelength.
+        Of an inexact step, whatever that is.
     memory : float
         Bytes beside those of M and Kbar.
     """
 
     set_up: float
-    iteration: float
+    iteration: Growth
     n_iterations: float
     memory: float
 
@@ -206,7 +208,8 @@ VOLUME = CostConstants(
     cg_product_calls=(0.0, 3.1e-05),
     cg_iterations=12.0,
     cg_iterations_by_square=1.0,
-    matching=MatchingCosts(set_up=4e-05, iteration=1.5e-06, n_iterations=12.0, memory=4000.0),
+    matching=MatchingCosts(set_up=2.1e-05, iteration=Growth(constant=2e-07, growing=5.5e-08), n_iterations=14.0,
+                           memory=3300.0),
 )
 
 MEASURED = {2: PLANE, 3: VOLUME}
@@ -364,7 +367,8 @@ def _predict_conjugate_gradient(task: StepTask, candidate: StepCandidate) -> Ste
 
 def _predict_matching(task: StepTask, candidate: StepCandidate, known: MatchingCosts) -> StepCosts:
     n, iterations = task.n_share, known.n_iterations
-    return StepCosts(candidate, n * known.set_up, iterations * n * known.iteration, task.n_steps, iterations,
+    step = iterations * n * known.iteration.evaluate(task.wavelength)
+    return StepCosts(candidate, n * known.set_up, step, task.n_steps, iterations,
                      n * (task.constants.system_memory + known.memory))
 
 
