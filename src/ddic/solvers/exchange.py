@@ -172,8 +172,8 @@ class ParallelEntries:
     def create_matrix(self, symmetric_blocks: int = 1) -> PETSc.Mat:
         """Create the matrix over all ranks, the caller's to destroy; collective. Too large, FactorizationError.
 
-        With ``symmetric_blocks`` of some size it is a symmetric one, which keeps the upper half of its blocks: a product
-        of blocks of three takes a quarter of the time.
+        With ``symmetric_blocks`` of some size it is a symmetric one, which keeps the upper half of its blocks: with
+        blocks of three a product takes a quarter of the time.
         """
         local = self.sum_owned_rows()
         rank = self._team.rank

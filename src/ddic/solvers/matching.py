@@ -2,8 +2,9 @@
 
 It matches A by the square of an operator of second order, as Pearson & Wathen (2012) do in optimal control:
 |sqrt(eta) K x|^2 + |D x|^2 and |sqrt(eta) K x + D x|^2 differ by a factor of two at most where D^2 is M, here its
-lumped blocks of nodes. On controlled unknowns B = sqrt(eta) K + D is inverted by a polynomial of Chebyshev, nearly: what
-it leaves of B x counts, not of x, which is why cycles of multigrid take more iterations. What is left are the others, c for controlled and b for those at loaded edges: with x_c = E x_b = -B^-1 sqrt(eta) K_cb x_b, which decays
+lumped blocks of nodes. On controlled unknowns B = sqrt(eta) K + D is inverted by Chebyshev's polynomial, nearly: what
+it leaves of B x counts, not of x, which is why cycles of multigrid in its place take more iterations. What is left are
+the others, c for controlled and b for those at loaded edges: with x_c = E x_b = -B^-1 sqrt(eta) K_cb x_b, which decays
 inwards over the cut-off wavelength, the energy is
 
     |w|^2 + x_b^T S x_b,   S = M_bb + 2 (D E)^T D E,   w = B x_c + sqrt(eta) K_cb x_b.
@@ -15,7 +16,7 @@ to smooth fields and 0 to rough ones, (D E)^T D E is near D_b ROUGH / (1 - N + R
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import ceil
+from math import acosh, ceil
 
 import numpy as np
 from petsc4py import PETSc
@@ -28,8 +29,8 @@ from ddic.solvers.petsc import PetscOwner, PetscStack
 from ddic.solvers.whole_system import WholeSystem
 
 LEFT = 0.3
-"""What the polynomial leaves of forces on controlled unknowns, relative to the smallest eigenvalue over the largest: rough
-forces of which more is left displace more than smooth ones. A larger value takes iterations, a smaller one products."""
+"""What the polynomial leaves of forces on controlled unknowns, times the condition number of B: rough forces that it
+leaves of smooth ones count as much more. A larger value takes iterations, a smaller one products."""
 
 LOWEST = 4.0
 """Eigenvalue of B over its diagonal from which on the polynomial inverts it, over that of a translation: a region held
@@ -113,7 +114,7 @@ class MatchingPreconditioner(PetscOwner):
         """Of the polynomial: as the root of the condition number, hence as the cut-off wavelength over the elements."""
         lowest, highest = self._interval
         left = LEFT * lowest / highest
-        return ceil(np.arccosh(1 / left) / np.arccosh((highest + lowest) / (highest - lowest))) - 1
+        return ceil(acosh(1 / left) / acosh((highest + lowest) / (highest - lowest))) - 1
 
     def _find_interval(self, root: Array, diagonal: Array) -> tuple[float, float]:
         """Smallest and largest eigenvalue of B over its diagonal, about: of a translation, and by powers."""
@@ -124,7 +125,7 @@ class MatchingPreconditioner(PetscOwner):
             # Nothing is controlled, and only zeros are given.
             return 1.0, 2.0
         values = np.random.default_rng(self._team.rank).standard_normal(len(self._controlled)) * self._controlled
-        energies = [0.0, 1.0]
+        energies = np.array([0.0, 1.0])
         for _ in range(N_POWERS):
             forces = self._multiply(self._operator, values)
             energies = self._team.ordered_sum([np.array([values @ forces, values @ (values * diagonal)])])
