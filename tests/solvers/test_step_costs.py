@@ -72,3 +72,28 @@ def test_one_level_slows_down_with_the_cut_off_wavelength_and_two_levels_do_not(
     two = [costs("two", wavelength=cells).n_iterations for cells in (8.0, 160.0)]
     assert one[1] > 3 * one[0]
     assert two[0] == two[1] < one[1]
+
+
+IN_SPACE = StepTask(n_unknowns=206_763, n_cells=64_000, wavelength=32.0, n_ranks=1, n_steps=1, dim=3)
+WAYS_IN_SPACE = {"cg": StepCandidate("conjugate_gradient", 1), "assembled": StepCandidate("assembled", 1),
+                 "matching": StepCandidate("matching", 1), "one": StepCandidate("dual", 125)}
+
+
+@pytest.mark.parametrize(("wavelength", "way"), [(0.0, "cg"), (4.0, "cg"), (8.0, "matching"), (64.0, "matching")])
+def test_in_space_the_fastest_way_is_that_of_the_measurements(wavelength: float, way: str) -> None:
+    task = replace(IN_SPACE, wavelength=wavelength, n_steps=5)
+    ways = {name: one for name, one in WAYS_IN_SPACE.items() if wavelength or name != "matching"}
+    seconds = {name: predict_costs(task, one).seconds for name, one in ways.items()}
+    assert min(seconds, key=seconds.__getitem__) == way
+
+
+def test_in_space_factors_grow_with_the_square_of_the_unknowns() -> None:
+    small, large = (predict_costs(replace(IN_SPACE, n_unknowns=n), WAYS_IN_SPACE["assembled"]).seconds
+                    for n in (200_000, 400_000))
+    # CHOLMOD's time was measured to grow as their number to the power of 1.9.
+    assert 3.5 < large / small < 4.0
+
+
+def test_matching_is_not_weighed_where_it_was_not_measured() -> None:
+    assert TASK.constants.matching is None
+    assert IN_SPACE.constants.matching is not None

@@ -176,41 +176,31 @@ PLANE = CostConstants(
 """Fitted on 26 November 2026 to runs of ``bench.interface_solvers`` with 10,000 to 250,000 unknowns on one and two
 ranks of a shared two-core machine: seconds from 60,000 regularized unknowns on are within a quarter, memory a half."""
 
-
 VOLUME = CostConstants(
-    system_memory=2200.0,
-    whole=(
-        Factor(seconds=Growth(constant=1e-05, growing=4e-10), memory=Growth(constant=0.0, growing=300.0)),
-        Factor(seconds=Growth(constant=1e-04, growing=3.4e-09), memory=Growth(constant=0.0, growing=1000.0)),
-    ),
-    whole_solve=1e-08,
-    parallel_factor=(0.6, 0.6),
-    parallel_memory=0.8,
-    local=(
-        Factor(seconds=Growth(constant=1e-05, growing=4e-10), memory=Growth(constant=0.0, growing=300.0)),
-        Factor(seconds=Growth(constant=1e-04, growing=3.4e-09), memory=Growth(constant=0.0, growing=1000.0)),
-    ),
-    local_solve=1e-08,
-    interface=(
-        Factor(seconds=Growth(constant=1e-05, growing=1e-08), memory=Growth(constant=0.0, growing=300.0)),
-        Factor(seconds=Growth(constant=1e-04, growing=1e-08), memory=Growth(constant=0.0, growing=1000.0)),
-    ),
-    sparse_interface=(
-        Factor(seconds=Growth(constant=1e-05, growing=1e-08), memory=Growth(constant=0.0, growing=300.0)),
-        Factor(seconds=Growth(constant=1e-04, growing=1e-08), memory=Growth(constant=0.0, growing=1000.0)),
-    ),
-    coarse_set_up=Growth(constant=1e-4, growing=0.0),
-    dual_product=2.3,
-    one_level_iterations=(4.0, 4.0),
-    two_level_iterations=4.0,
-    cg_set_up=2e-6,
-    cg_product=(1e-07, 3e-07),
-    cg_product_calls=(0.0, 3.1e-05),
-    cg_iterations=12.0,
-    cg_iterations_by_square=1.0,
-    matching=MatchingCosts(set_up=2.1e-05, iteration=Growth(constant=2e-07, growing=5.5e-08), n_iterations=14.0,
-                           memory=3300.0),
+    system_memory=1800.0,
+    whole=(Factor(Growth(1.8e-05, 9.2e-10), Growth(2200.0, 170.0)),
+           Factor(Growth(1.1e-04, 5.2e-09), Growth(14000.0, 430.0))),
+    whole_solve=8.6e-08,
+    parallel_factor=(0.47, 0.35),
+    parallel_memory=0.66,
+    local=(Factor(Growth(1.4e-05, 8.3e-10), Growth(7300.0, 170.0)),
+           Factor(Growth(3.5e-05, 5.6e-09), Growth(11000.0, 820.0))),
+    local_solve=5e-08,
+    interface=(Factor(Growth(3.6e-05, 2.6e-08), Growth(0.0, 0.0)), Factor(Growth(1.7e-04, 3.3e-08), Growth(0.0, 0.0))),
+    sparse_interface=(Factor(Growth(3.5e-05, 0.0), Growth(1900.0, 0.0)),
+                      Factor(Growth(1.3e-04, 1.7e-09), Growth(0.0, 91.0))),
+    coarse_set_up=Growth(1.7e-05, 0.0),
+    dual_product=4.3,
+    one_level_iterations=(1.8, 1.2),
+    two_level_iterations=2.0,
+    cg_set_up=9.5e-07,
+    cg_product=(7.2e-08, 1.8e-07),
+    cg_product_calls=(5.5e-05, 3.9e-05),
+    cg_iterations=14.0,
+    cg_iterations_by_square=1.9,
+    matching=MatchingCosts(1.4e-05, Growth(3.1e-07, 5.2e-08), 16.0, 2800.0),
 )
+"""Fitted on 28 November 2026 in the same way to cubes of 15,000 and 47,000 unknowns, with "matching" of 108,000 too."""
 
 MEASURED = {2: PLANE, 3: VOLUME}
 """By dimension of the mesh."""
