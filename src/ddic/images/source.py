@@ -70,7 +70,7 @@ def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDA
     Parameters
     ----------
     pixels : (height, width) or (depth, height, width) array
-        Grey levels. In a volume the nearest one is that of the same plane, or of the nearest plane that has any.
+        Grey levels. In a volume those farther off than FILLED are zeros.
     usable : array of the same shape, or None
         0 where a pixel is left out. Pixels that are not finite are left out too.
 
@@ -85,26 +85,37 @@ def fill_excluded(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> NDA
     if absent.all():
         return np.zeros_like(pixels)
     if pixels.ndim == 2:
-        return _fill_plane(pixels, absent)
-    counted = np.flatnonzero(~absent.all(axis=(1, 2)))
-    filled = pixels.copy()
-    for k in counted:
-        filled[k] = _fill_plane(pixels[k], absent[k])
-    for k in np.setdiff1d(np.arange(len(pixels)), counted):
-        filled[k] = filled[counted[np.abs(counted - k).argmin()]]
+        return _fill_plane(pixels, absent)[0]
+    filled, is_known = np.where(absent, pixels.dtype.type(0), pixels), ~absent
+    for k in np.flatnonzero(absent.any(axis=(1, 2)) & is_known.any(axis=(1, 2))):
+        in_plane, distance = _fill_plane(pixels[k], absent[k])
+        is_known[k] = distance <= FILLED
+        filled[k][is_known[k]] = in_plane[is_known[k]]
+    for k in np.flatnonzero(~is_known.all(axis=(1, 2))):
+        is_left = ~is_known[k]
+        for other in (k + sign * step for step in range(1, FILLED + 1) for sign in (-1, 1)):
+            if 0 <= other < len(pixels):
+                found = is_left & is_known[other]
+                filled[k][found] = filled[other][found]
+                is_left &= ~found
     return filled
 
 
-def _fill_plane(pixels: NDArray[Any], absent: BoolArray) -> NDArray[Any]:
-    """The same of a plane image of which some pixels count."""
+FILLED = 10
+"""Voxels up to which an excluded one is filled in its plane, then from planes before and after it: as far as a spline's
+coefficient is taken from. What lies farther off has no say, so that a larger window gives the same."""
+
+
+def _fill_plane(pixels: NDArray[Any], absent: BoolArray) -> tuple[NDArray[Any], NDArray[np.float32]]:
+    """The same of a plane image of which some pixels count, and how far off the nearest of these is from each."""
     # Each pixel that counts has a label, and the others have that of their nearest.
-    labels = cv2.distanceTransformWithLabels(absent.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5,
-                                             labelType=cv2.DIST_LABEL_PIXEL)[1]
+    distance, labels = cv2.distanceTransformWithLabels(absent.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5,
+                                                       labelType=cv2.DIST_LABEL_PIXEL)
     values = np.empty(int(labels.max()) + 1, dtype=pixels.dtype)
     values[labels[~absent]] = pixels[~absent]
     filled = pixels.copy()
     filled[absent] = values[labels[absent]]
-    return filled
+    return filled, distance
 
 
 def _find_absent(pixels: NDArray[Any], usable: NDArray[np.uint8] | None) -> BoolArray | None:

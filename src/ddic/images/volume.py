@@ -8,7 +8,7 @@ from numpy.typing import DTypeLike, NDArray
 from scipy import ndimage
 
 from ddic.arrays import Array
-from ddic.images.source import ImageSource, fill_excluded, without_cross, without_neighbours
+from ddic.images.source import FILLED, ImageSource, fill_excluded, without_cross, without_neighbours
 from ddic.images.spline import PADDING, FindUsable, GradientImage, SplineImage
 from ddic.images.threads import ONE_THREAD, Threads
 from ddic.images.voxel_prefilter import LARGEST_GAIN, TAPS, filter_box
@@ -96,8 +96,11 @@ def _read_box(source: ImageSource, box: Window,
               find_usable: FindUsable | None) -> tuple[NDArray[Any], NDArray[np.uint8] | None]:
     """A box that may leave the volume, by reflection there, excluded voxels filled; and which ones are usable."""
     inside = box.intersection(source.extent)
-    usable = None if find_usable is None else find_usable(inside)
-    pixels = fill_excluded(source.read(inside), usable)
+    # What excluded voxels are filled from may lie outside the box.
+    around = inside if find_usable is None else box.grow(FILLED).intersection(source.extent)
+    usable, part = None if find_usable is None else find_usable(around), around.locate(inside)
+    pixels = fill_excluded(source.read(around), usable)[part]
+    usable = None if usable is None else usable[part]
     beyond = [(first - low, high - last) for low, first, last, high
               in zip(box.lower, inside.lower, inside.upper, box.upper, strict=True)][::-1]
     if not np.any(beyond):
