@@ -77,6 +77,18 @@ def test_sums_equal_the_readable_ones(seed: int, cells: str, shape: str, kind: s
     assert_same_sums(part, deformed, rng.uniform(-reach, reach, mesh.n_dofs))
 
 
+def test_a_light_is_subtracted_from_grey_levels_and_left_out_of_the_gradient() -> None:
+    rng = np.random.default_rng(7)
+    mesh = place(7, "both", "turned")
+    part = read_correlation(mesh, volume(noise(7, "uint8")), 3)
+    # As where cells end: it is known inside them only, and would be a step.
+    light = rng.uniform(-50.0, 50.0, part.reference.window.shape).astype(np.float32)
+    lit = replace(part, reference=part.reference.correct_light(light))
+    np.testing.assert_allclose(lit.reference.grey_levels, part.reference.grey_levels - light, rtol=1e-6)
+    np.testing.assert_array_equal(lit.compute_cell_hessians(), part.compute_cell_hessians())
+    assert_same_sums(lit, DeformedSubImage(volume(noise(8, "uint8")), 3), rng.uniform(-2.0, 2.0, mesh.n_dofs))
+
+
 @pytest.mark.parametrize("cells", ["Hex8", "Tet4"])
 def test_residual_volumes_equal_the_readable_ones_and_bands_the_whole(cells: str) -> None:
     rng = np.random.default_rng(5)

@@ -152,7 +152,7 @@ def find_slope(f: GradientImage, place: IntArray) -> Array:
     around, slope = f.window.grow(f.margin), np.zeros(len(place))
     for axis, unit in enumerate(np.eye(len(place), dtype=np.int64)):
         for k, weight in enumerate(DIFFERENCES, start=1):
-            ahead, behind = (float(f.values[find_index(around, place + way * k * unit)]) for way in (1, -1))
+            ahead, behind = (float(f.slopes[0][find_index(around, place + way * k * unit)]) for way in (1, -1))
             slope[axis] += weight * (ahead - behind)
     return slope
 

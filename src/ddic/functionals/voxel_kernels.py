@@ -96,8 +96,8 @@ class ReferenceVoxels(NamedTuple):
 
     Attributes
     ----------
-    values : (n,) uint8, uint16 or float32 array
-        Rows, one after the other, plane by plane; a vector may be loaded beyond their end.
+    values, differentiated : (n,) uint8, uint16 or float32 arrays
+        Rows, one after the other, plane by plane: grey levels, and those that the gradient is taken from.
     row_length, plane_length : int
         Numbers from one row to the next, and from one plane.
     origin : int
@@ -109,6 +109,7 @@ class ReferenceVoxels(NamedTuple):
     """
 
     values: NDArray[Any]
+    differentiated: NDArray[Any]
     row_length: int
     plane_length: int
     origin: int
@@ -257,7 +258,7 @@ def _differentiate(f, at, step):
 @numba.njit(**INLINED)
 def _find_gradient(reference, at):
     """Grad f at neighbouring voxels."""
-    f = reference.values
+    f = reference.differentiated
     return (_differentiate(f, at, 1), _differentiate(f, at, reference.row_length),
             _differentiate(f, at, reference.plane_length))
 
@@ -825,7 +826,8 @@ _NOTHING_EXCLUDED = np.zeros((0, 0, 0), dtype=np.uint8)
 
 def _convert_reference(f: GradientImage) -> ReferenceVoxels:
     """Convert a box of the reference volume; its arrays are not copied."""
-    return ReferenceVoxels(flatten(f.values), *_describe_layout(f.values, f.window.grow(f.margin)),
+    layout = _describe_layout(f.values, f.window.grow(f.margin))
+    return ReferenceVoxels(flatten(f.values), flatten(f.slopes[0]), *layout,
                            _NOTHING_EXCLUDED if f.usable is None else f.usable, np.array(f.window.lower))
 
 

@@ -72,8 +72,9 @@ class GradientImage:
         Grey levels: bytes of a large image that has bytes, else float32; a volume's in its own type where kernels know
         it.
     slopes : (2, window.height, window.width) array
-        Of the spline at pixel centres, along x and along y, grey levels per pixel. There is none, (0, ...), of a
-        volume, whose gradient kernels take from its values: three numbers a voxel are too many.
+        Of the spline at pixel centres, along x and along y, grey levels per pixel. Of a volume, whose gradient kernels
+        take by differences, the grey levels that they take it from, as ``values`` but for ``correct_light``, (1, ...):
+        three numbers a voxel are too many.
     usable : array of the window's shape, or None
         0 where the pixel is excluded, or one that its slope is taken from; None where nothing is.
     margin : int
@@ -82,7 +83,7 @@ class GradientImage:
 
     window: Window
     values: NDArray[Any]
-    slopes: NDArray[np.float32]
+    slopes: NDArray[Any]
     usable: NDArray[np.uint8] | None = None
     margin: int = 0
 
@@ -93,17 +94,16 @@ class GradientImage:
 
     def restrict(self, window: Window) -> GradientImage:
         """Look into a window inside it: the new arrays look into these; only what is excluded is copied."""
-        inside = self.window.locate(window)
-        values = self.values[self.window.grow(self.margin).locate(window.grow(self.margin))]
-        return GradientImage(window, values, self.slopes[:, *inside],
-                             None if self.usable is None else self.usable[inside].copy(), self.margin)
+        with_margin = self.window.grow(self.margin).locate(window.grow(self.margin))
+        usable = None if self.usable is None else self.usable[self.window.locate(window)].copy()
+        return GradientImage(window, self.values[with_margin], self.slopes[:, *with_margin], usable, self.margin)
 
     def correct_light(self, light: NDArray[np.float32]) -> GradientImage:
         """Subtract grey levels of the window that vary so slowly that slopes do not know them.
 
         The result has arrays of its own: kernels step through both alike.
         """
-        return replace(self, values=self.values - np.pad(light, self.margin, mode="edge"), slopes=self.slopes.copy())
+        return replace(self, values=self.values - np.pad(light, self.margin), slopes=self.slopes.astype(np.float32))
 
     def exclude(self, excluded: BoolArray) -> GradientImage:
         """Exclude further pixels, in a new array that says what is usable."""

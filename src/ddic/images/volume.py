@@ -51,7 +51,7 @@ def read_values(source: ImageSource, window: Window, find_usable: FindUsable | N
     values[...] = pixels
     if usable is not None:
         usable = without_cross(usable, DEGREE // 2 if excludes_taps else 0)[whole.locate(window)].copy()
-    return GradientImage(window, values, np.empty((0, *window.shape), np.float32), usable, REACH)
+    return GradientImage(window, values, values[None], usable, REACH)
 
 
 def read_coefficients(source: ImageSource, window: Window, find_usable: FindUsable | None = None,
@@ -83,13 +83,13 @@ def read_coefficients(source: ImageSource, window: Window, find_usable: FindUsab
 
 
 def find_slopes(image: GradientImage) -> Array:
-    """Give the gradient of a window, (dim, ...), grey levels per pixel, which of a volume is taken from its values."""
+    """Give the gradient of a window, (dim, ...), grey levels per pixel, of a volume by differences."""
     if image.margin == 0:
         return image.slopes.astype(np.float64)
     inside = image.window.grow(image.margin).locate(image.window)
     weights = np.concatenate([np.negative(DIFFERENCES[::-1]), [0.0], DIFFERENCES])
     # Arrays have x last.
-    return np.stack([ndimage.correlate1d(image.values, weights, axis, np.float64)[inside] for axis in (2, 1, 0)])
+    return np.stack([ndimage.correlate1d(image.slopes[0], weights, axis, np.float64)[inside] for axis in (2, 1, 0)])
 
 
 def _read_box(source: ImageSource, box: Window,

@@ -10,6 +10,7 @@ cell. A plane z cuts the edges from a to b with z_a <= z < z_b, hence the faces 
 edges and rows are as above.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -26,6 +27,9 @@ from ddic.mesh.mesh import Mesh
 SNAP = float(2**20)
 """Crossings are rounded to multiples of 1/SNAP px, so that rounding errors where two edges meet cannot fall on
 different sides of a pixel centre; a larger value rounds less and forgives less."""
+
+LISTED_PIXELS = 1 << 20
+"""Pixels that are listed at a time where a list of all would take more memory than images do."""
 
 BAND_PIXELS = 1 << 24
 """Pixels that are looked at together where cells may overlap; a larger value takes memory."""
@@ -323,6 +327,13 @@ def list_pixels(raster: Raster, cells: IntArray) -> tuple[IntArray, IntArray]:
     lengths = raster.stops[runs] - starts
     columns, rows = list_ranges(starts, lengths), np.repeat(row_of_run, lengths, axis=0)
     return np.column_stack([columns, rows]).astype(np.int64), np.repeat(cell_of_run, lengths)
+
+
+def list_pixels_in_turn(raster: Raster, cells: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """List the pixels of some cells as ``list_pixels`` does, those of a few cells at a time."""
+    turns = np.cumsum(raster.pixel_counts[cells]) // LISTED_PIXELS
+    for some in np.split(cells, np.flatnonzero(np.diff(turns)) + 1):
+        yield list_pixels(raster, some)
 
 
 def find_common_pixels(pixels: IntArray, others: IntArray) -> BoolArray:

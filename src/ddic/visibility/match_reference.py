@@ -21,7 +21,7 @@ from ddic.images.sub_image import MaskedSource, read_reference
 from ddic.inputs.cameras import Camera
 from ddic.mesh.interpolation import interpolate_located, place_in_cells
 from ddic.mesh.mesh import sum_about_nodes
-from ddic.mesh.raster import list_pixels
+from ddic.mesh.raster import list_pixels_in_turn
 from ddic.mesh.rotation import build_rotation
 from ddic.parallel.distribution import find_quantile_of_all, sum_shared_nodes
 from ddic.parallel.field import ByView, add_views
@@ -118,10 +118,9 @@ def _even_out(view: FrameView, sums: Array, typical: TypicalCell) -> FrameView:
         return view
     image = correlation.reference
     removed = np.zeros(image.window.shape, dtype=np.float32)
-    pixels, cells = list_pixels(correlation.raster, sloping)
-    located = place_in_cells(mesh, cells, pixels.astype(np.float64))
-    at_pixels = interpolate_located(mesh, light[:, None], located)[:, 0]
-    removed[image.window.index(pixels)] = at_pixels
+    for pixels, cells in list_pixels_in_turn(correlation.raster, sloping):
+        located = place_in_cells(mesh, cells, pixels.astype(np.float64))
+        removed[image.window.index(pixels)] = interpolate_located(mesh, light[:, None], located)[:, 0]
     return replace(view, correlation=replace(correlation, reference=image.correct_light(removed)))
 
 
