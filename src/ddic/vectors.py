@@ -108,6 +108,17 @@ def fill(typing_context, value):
 
 
 @intrinsic
+def fill_wide(typing_context, value):
+    """A vector whose numbers are all one value, as float64."""
+
+    def generate(context, builder, signature, arguments):
+        number = context.cast(builder, arguments[0], signature.args[0], types.float64)
+        return _repeat(builder, number, Double.llvm)
+
+    return Double(value), generate
+
+
+@intrinsic
 def count(typing_context):
     """The vector 0, 1, 2 and so on."""
     return Single(), lambda *_: ir.Constant(Single.llvm, [float(k) for k in range(WIDTH)])

@@ -35,6 +35,7 @@ from ddic.vectors import (
     count,
     count_equal,
     fill,
+    fill_wide,
     load,
     mark_first,
     round_down,
@@ -187,9 +188,11 @@ class _Scratch(NamedTuple):
         Monomials of neighbouring voxels.
     weights, drawn : (WIDTH,) float32 array
         Which of neighbouring voxels count; what is written of them.
+    moments : (9 x 8,) array
+        Those of a cell that is linear along rows, of each kind and component; zeros between cells.
     sums, grey, pairs : (n x WIDTH,) array
         Moments, grey sums, and sums of grad f grad f^T times products of two monomials, by lanes; zeros between cells.
-    products, half : (6, 8, 8) and (8, 8) array
+    products, half : (6 x 8 x 8,) and (8, 8) array
         The last ones added up, and half of the way from monomials to shape functions.
     """
 
@@ -199,6 +202,7 @@ class _Scratch(NamedTuple):
     lanes: NDArray[np.float32]
     weights: NDArray[np.float32]
     drawn: NDArray[np.float32]
+    moments: Array
     sums: Array
     grey: Array
     pairs: Array
@@ -209,8 +213,8 @@ class _Scratch(NamedTuple):
 @numba.njit(**FLAGS)
 def _new_scratch():
     return _Scratch(np.zeros((3, 3)), np.zeros(8), np.zeros(8), np.zeros(8 * WIDTH, np.float32),
-                    np.zeros(WIDTH, np.float32), np.zeros(WIDTH, np.float32), np.zeros(72 * WIDTH),
-                    np.zeros(N_SUMS * WIDTH), np.zeros(216 * WIDTH), np.zeros((6, 8, 8)), np.zeros((8, 8)))
+                    np.zeros(WIDTH, np.float32), np.zeros(WIDTH, np.float32), np.zeros(9 * 8), np.zeros(72 * WIDTH),
+                    np.zeros(N_SUMS * WIDTH), np.zeros(216 * WIDTH), np.zeros(6 * 8 * 8), np.zeros((8, 8)))
 
 
 @numba.njit(**INLINED)
@@ -288,7 +292,10 @@ def _is_linear(geometry, n_monomials, e, inverse):
 
 @numba.njit(**INLINED)
 def _begin_row(geometry, e, row, scratch):
-    """Monomials at the first voxel of a row of a cell that is linear along it, and their growth."""
+    """Find monomials at the first voxel of a row of a cell that is linear along it, and their growth.
+
+    Gives local coordinates there, and their growth.
+    """
     X, G, phi, slope = geometry, scratch.inverse, scratch.phi, scratch.slope
     x, y, z = row.x - X[e, 0, 0], row.y - X[e, 1, 0], row.z - X[e, 2, 0]
     xi = G[0, 0] * x + G[0, 1] * y + G[0, 2] * z
@@ -300,26 +307,30 @@ def _begin_row(geometry, e, row, scratch):
     slope[0], slope[1], slope[2], slope[3] = 0.0, a, b, c
     # Where rows are not along xi, shape functions have no mixed terms, and those below meet zeros.
     slope[4], slope[5], slope[6], slope[7] = a * eta, a * zeta, 0.0, a * eta * zeta
+    return xi, eta, zeta, a, b, c
 
 
 @numba.njit(**INLINED)
-def _multiply(D, e, component, phi, n_monomials):
-    value = 0.0
-    for m in range(n_monomials):
-        value += D[e, component, m] * phi[m]
-    return value
+def _displace_row(D, n_monomials, e, i, start):
+    """Displacement of a row's first voxel along an axis, and its growth from one voxel to the next."""
+    xi, eta, zeta, a, b, c = start
+    first = D[e, i, 0] + D[e, i, 1] * xi + D[e, i, 2] * eta + D[e, i, 3] * zeta
+    growth = D[e, i, 1] * a + D[e, i, 2] * b + D[e, i, 3] * c
+    if n_monomials > 4:
+        along = D[e, i, 4] * eta + D[e, i, 5] * zeta + D[e, i, 7] * eta * zeta
+        first += along * xi + D[e, i, 6] * eta * zeta
+        growth += along * a
+    return first, growth
 
 
 @numba.njit(**INLINED)
-def _count_together(u, v, w, du, dv, dw, n):
-    """How many of n voxels of a row, at most a vector, have displacements of one integer part, as the first one."""
-    n = min(n, WIDTH)
+def _count_together(t_x, t_y, t_z, du, dv, dw, n):
+    """How many of n voxels of a row have displacements of one integer part: t are the first one's fractions."""
     while n > 1:
         k = n - 1
-        if (math.floor(u + du * k) == math.floor(u) and math.floor(v + dv * k) == math.floor(v)
-                and math.floor(w + dw * k) == math.floor(w)):
+        if 0.0 <= t_x + du * k < 1.0 and 0.0 <= t_y + dv * k < 1.0 and 0.0 <= t_z + dw * k < 1.0:
             return n
-        n -= 1
+        n = k
     return n
 
 
@@ -453,14 +464,13 @@ def _add_row_moments(sums, kind, value, gradient, from_begin):
 
 
 @numba.njit(**INLINED)
-def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, scratch, moments, correction, out):
+def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, scratch, n_kinds, correction, out):
     """Add a row of a cell whose monomials are linear along it to the cell's moments and sums, or draw its residual."""
-    D, phi, slope, n_monomials = displacement, scratch.phi, scratch.slope, cells.n_monomials[e]
-    _begin_row(cells.geometry, e, row, scratch)
-    u0, du = _multiply(D, e, 0, phi, n_monomials), _multiply(D, e, 0, slope, n_monomials)
-    v0, dv = _multiply(D, e, 1, phi, n_monomials), _multiply(D, e, 1, slope, n_monomials)
-    w0, dw = _multiply(D, e, 2, phi, n_monomials), _multiply(D, e, 2, slope, n_monomials)
-    n_kinds, x = moments.shape[1], row.x
+    start, n_monomials = _begin_row(cells.geometry, e, row, scratch), cells.n_monomials[e]
+    u0, du = _displace_row(displacement, n_monomials, e, 0, start)
+    v0, dv = _displace_row(displacement, n_monomials, e, 1, start)
+    w0, dw = _displace_row(displacement, n_monomials, e, 2, start)
+    x = row.x
     while x < row.stop:
         step = x - row.x
         u, v, w, weight = u0 + du * step, v0 + dv * step, w0 + dw * step, 1.0
@@ -472,8 +482,8 @@ def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, 
                                    row.z + w + dw * last)):
                 n = 1
                 u, v, w, weight = _place_alone(deformed, row, x, u, v, w)
-        n = _count_together(u, v, w, du, dv, dw, n)
         i, j, k = math.floor(u), math.floor(v), math.floor(w)
+        n = _count_together(u - i, v - j, w - k, du, dv, dw, n)
         run, places = _Run(x, n, np.int64(i), np.int64(j), np.int64(k), weight), count()
         counts, r, g = _compare(reference, deformed, row, run, fill(u - i) + places * fill(du),
                                 fill(v - j) + places * fill(dv), fill(w - k) + places * fill(dw), scratch)
@@ -490,12 +500,10 @@ def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, 
             _add_row_moments(scratch.sums, 2, counts, gradient, from_begin)
     if out.size > 0:
         return
-    for kind in range(n_kinds):
-        for component in range(3):
-            place = 6 * kind + 2 * component
-            value, along = _total_at(scratch.sums, place), _total_at(scratch.sums, place + 1)
-            for m in range(n_monomials):
-                moments[e, kind, component, m] += value * phi[m] + along * slope[m]
+    phi, slope = load(scratch.phi, 0), load(scratch.slope, 0)
+    for place in range(3 * n_kinds):
+        value, along = _total_at(scratch.sums, 2 * place), _total_at(scratch.sums, 2 * place + 1)
+        _add_at(scratch.moments, place, fill_wide(value) * phi + fill_wide(along) * slope)
 
 
 @numba.njit(**INLINED)
@@ -648,18 +656,21 @@ def _visit(cells, displacement, reference, deformed, sums, correction, out):
             if row.x >= row.stop:
                 continue
             if is_linear:
-                _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, scratch, sums.moments,
+                _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, scratch, n_kinds,
                                   correction, out)
             else:
                 _visit_curved_row(cells, displacement, reference, deformed, e, row, inside, scratch, n_kinds,
                                   correction, out)
         if out.size > 0:
             continue
-        if not is_linear:
-            for kind in range(n_kinds):
-                for component in range(3):
-                    for m in range(8):
-                        sums.moments[e, kind, component, m] += _total_at(scratch.sums, 24 * kind + 8 * component + m)
+        for kind in range(n_kinds):
+            for component in range(3):
+                first = 8 * (3 * kind + component)
+                for m in range(cells.n_monomials[e]):
+                    of_lanes = 0.0 if is_linear else _total_at(scratch.sums, first + m)
+                    sums.moments[e, kind, component, m] += scratch.moments[first + m] + of_lanes
+                # Of a tetrahedron rows give mixed terms too, which belong to nothing.
+                store(scratch.moments, first, fill_wide(0.0))
         for k in range(N_SUMS):
             sums.grey[e, k] += _total_at(scratch.grey, k)
 
@@ -719,14 +730,14 @@ def _add_powers(sums, first, value, place):
 @numba.njit(**INLINED)
 def _spread_slopes(scratch, n_monomials):
     """Add the sums of a row to those of grad f grad f^T times products of two monomials, which are linear in it."""
-    phi, slope, products = scratch.phi, scratch.slope, scratch.products
+    phi, slope = scratch.phi, scratch.slope
+    all_phi, all_slope = load(phi, 0), load(slope, 0)
     for pair in range(6):
         p_0, p_1 = _total_at(scratch.sums, 3 * pair), _total_at(scratch.sums, 3 * pair + 1)
         p_2 = _total_at(scratch.sums, 3 * pair + 2)
         for m in range(n_monomials):
             a, b = p_0 * phi[m] + p_1 * slope[m], p_1 * phi[m] + p_2 * slope[m]
-            for n in range(n_monomials):
-                products[pair, m, n] += a * phi[n] + b * slope[n]
+            _add_at(scratch.products, 8 * pair + m, fill_wide(a) * all_phi + fill_wide(b) * all_slope)
 
 
 @numba.njit(**INLINED)
@@ -760,9 +771,9 @@ def _total_pairs(scratch):
         for k in range(m, 8):
             for pair in range(6):
                 value = _total_at(scratch.pairs, first + pair)
-                scratch.products[pair, m, k] += value
+                scratch.products[64 * pair + 8 * m + k] += value
                 if k > m:
-                    scratch.products[pair, k, m] += value
+                    scratch.products[64 * pair + 8 * k + m] += value
             first += 6
 
 
@@ -772,12 +783,11 @@ def _combine_products(scratch, T, e, out):
     half, size, pair = scratch.half, len(T), 0
     for c in range(3):
         for d in range(c, 3):
-            products = scratch.products[pair]
             for a in range(size):
                 for n in range(size):
                     value = 0.0
                     for m in range(size):
-                        value += T[a, m] * products[m, n]
+                        value += T[a, m] * scratch.products[64 * pair + 8 * m + n]
                     half[a, n] = value
             for a in range(size):
                 for b in range(size):
@@ -787,7 +797,8 @@ def _combine_products(scratch, T, e, out):
                     out[e, a, c, b, d] = value
                     out[e, a, d, b, c] = value
             pair += 1
-    scratch.products[:] = 0.0
+    for place in range(len(scratch.products)):
+        scratch.products[place] = 0.0
 
 
 @numba.njit(**FLAGS)
