@@ -2,9 +2,10 @@
 
 Usage: python -m bench.large_volumes [SIDE ...], 512 and 1024 by default.
 
-A periodic speckle and the same moved by a known translation, exactly: by the phase of its Fourier coefficients, of
-which a smooth speckle has none near the voxel's own frequency. The cube of TILE voxels is repeated, 8 bit, raw numbers
-with a sidecar. Time, memory and error go to bench/results/large_volumes.jsonl.
+The sum of three periodic speckles, and the same moved by a known translation, exactly: by the phase of its Fourier
+coefficients, of which a smooth speckle has none near the voxel's own frequency. Cubes of PERIODS are repeated, the sum
+of which does not repeat itself; 8 bit, raw numbers with a sidecar. Time, memory and error go to
+bench/results/large_volumes.jsonl.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from bench.support.rows import Row, append_result, show_all
 from bench.support.runs import DATA
 from ddic.io.result_reader import read_result
 
-TILE, SPECKLE, TRANSLATION = 256, 2.0, (1.3, -0.7, 2.4)
-"""Side of the cube that is repeated; smoothing of the speckle; what moves it, along x, y and z; voxels."""
+PERIODS, SPECKLE, TRANSLATION = (256, 240, 208), 2.0, (1.3, -0.7, 2.4)
+"""Sides of the cubes that are repeated; smoothing of the speckle; what moves it, along x, y and z; voxels."""
 
 MARGIN, ELEMENT, MOST_ERROR = 16, 16, 0.003
 """Edge without elements, side of the elements, RMS error of a component; voxels."""
@@ -52,22 +53,29 @@ def make_pair(side: int) -> Path:
     if (folder / "deformed.raw.toml").is_file():
         return folder
     folder.mkdir(parents=True, exist_ok=True)
-    noise = np.random.default_rng(0).standard_normal((min(TILE, side),) * 3)
-    smooth = ndimage.gaussian_filter(noise, SPECKLE, mode="wrap")
-    grey = 128 + 40 * smooth / smooth.std()
+    speckles = [_draw_speckle(number, period) for number, period in enumerate(PERIODS)]
     # Order of the axes: planes, rows, columns.
-    moved = np.fft.ifftn(ndimage.fourier_shift(np.fft.fftn(grey), TRANSLATION[::-1])).real
-    for name, tile in (("reference", grey), ("deformed", moved)):
-        _repeat(folder / f"{name}.raw", np.clip(np.rint(tile), 0, 255).astype(np.uint8), side)
+    moved = [np.fft.ifftn(ndimage.fourier_shift(np.fft.fftn(tile), TRANSLATION[::-1])).real for tile in speckles]
+    for name, tiles in (("reference", speckles), ("deformed", moved)):
+        _repeat(folder / f"{name}.raw", [tile.astype(np.float32) for tile in tiles], side)
     return folder
 
 
-def _repeat(path: Path, tile: NDArray[np.uint8], side: int) -> None:
-    """Write a tile again and again, plane by plane, then its sidecar."""
-    times = side // len(tile)
+def _draw_speckle(seed: int, period: int) -> NDArray[np.float64]:
+    """Draw a periodic cube of mean 0 and deviation 1."""
+    noise = np.random.default_rng(seed).standard_normal((period,) * 3)
+    smooth = ndimage.gaussian_filter(noise, SPECKLE, mode="wrap")
+    return np.asarray((smooth - smooth.mean()) / smooth.std())
+
+
+def _repeat(path: Path, tiles: list[NDArray[np.float32]], side: int) -> None:
+    """Write the sum of tiles, each again and again, plane by plane, then its sidecar."""
+    places = np.arange(side)
     with path.open("wb") as stream:
         for plane in range(side):
-            stream.write(np.tile(tile[plane % len(tile)], (times, times)).tobytes())
+            total = sum(tile[plane % len(tile)][np.ix_(places % len(tile), places % len(tile))] for tile in tiles)
+            grey = 128 + 40 / np.sqrt(len(tiles)) * total
+            stream.write(np.clip(np.rint(grey), 0, 255).astype(np.uint8).tobytes())
     path.with_name(path.name + ".toml").write_text(f'shape = [{side}, {side}, {side}]\ntype = "uint8"\n',
                                                    encoding="utf-8")
 

@@ -220,6 +220,7 @@ def _write_volumes(folder: Path) -> None:
          "--output", str(other))
     for name in ("reference", "deformed"):
         (other / f"{name}.tif").rename(folder / f"volume_{name}.tif")
+    shutil.copy(folder / "volume_deformed.tif", folder / "volume_deformed_2.tif")
     shutil.rmtree(other)
     mask = np.full((VOLUME_SIDE,) * 3, 255, np.uint8)
     mask[:2] = 0

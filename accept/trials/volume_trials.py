@@ -25,8 +25,9 @@ Write = Callable[[Path, Voxels], None]
 NOT_OF_VOLUMES = ("images", "near", "discontinuity", "pgd", "mesh.unstructured", "odd.csv", "odd.toml", "line ")
 """Where names of trials begin that have no counterpart."""
 
-FILES = {"reference.tif": "volume_reference.tif", "deformed.tif": "volume_deformed.tif", "mask.png": "volume_mask.tif",
-         "mesh.msh": "volume_mesh.vtu", "points.csv": "volume_points.csv", "partition.txt": "volume_partition.txt"}
+FILES = {"reference.tif": "volume_reference.tif", "deformed.tif": "volume_deformed.tif",
+         "deformed_2.tif": "volume_deformed_2.tif", "mask.png": "volume_mask.tif", "mesh.msh": "volume_mesh.vtu",
+         "points.csv": "volume_points.csv", "partition.txt": "volume_partition.txt"}
 """Good files of volumes by those of images."""
 
 
@@ -66,7 +67,9 @@ def _to_volume(trial: Trial) -> Trial:
     case = {"volumes" if section == "images" else section: _replace(value) for section, value in trial.case.items()}
     if case.get("solver") == {"subdomains": 4}:
         case["solver"] = {"subdomains": 2}
-    return replace(trial, name=f"of volumes: {trial.name}", case=case)
+    # An input may be a folder of slices: that the result would be written into it is a mistake too.
+    is_folder = trial.name.endswith(("the case's folder", "no name"))
+    return replace(trial, name=f"of volumes: {trial.name}", case=case, n_mistakes=trial.n_mistakes + is_folder)
 
 
 def _replace(value: Any) -> Any:
@@ -181,7 +184,7 @@ VOLUMES: Mapping[str, tuple[str, Write, Expected]] = {
     "an array of nothing": ("odd.npy", _npy(lambda v: v[:0]), "refused"),
     "HDF5 of two arrays, none named": ("odd.h5", _hdf5(a=lambda v: v, b=lambda v: v), "refused"),
     "HDF5, another array": ("odd.h5::nothing", _hdf5(f=lambda v: v), "refused"),
-    "HDF5, a group": ("odd.h5::f", _hdf5(**{"f/g": lambda v: v}), "refused"),
+    "HDF5, a group of two": ("odd.h5::f", _hdf5(**{"f/a": lambda v: v, "f/b": lambda v: v}), "refused"),
     "HDF5 of a plane": ("odd.h5::f", _hdf5(f=lambda v: v[0]), "refused"),
     "HDF5 of texts": ("odd.h5::f", _hdf5(f=lambda v: np.full((4, 4, 4), b"a")), "refused"),
     "HDF5 cut short": ("odd.h5::f", _cut_short(".h5"), "refused"),

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from ddic.images.binned import ArraySource
 from ddic.images.source import fill_excluded, without_cross, without_neighbours
 from ddic.images.spline import read_gradient, read_spline
+from ddic.images.sub_image import MaskedSource
+from ddic.images.volume import find_slopes, read_coefficients, read_values
 from ddic.images.window import Window
 from support.pictures import source
 
@@ -87,6 +93,36 @@ def test_pixels_that_count_are_the_same_in_every_window(degree: int, seed: int) 
         found, expected = of_part[counted], of_whole[place][counted]
         # Coefficients further away than the halo are 1e-16 of the grey levels; slopes are stored in float32.
         np.testing.assert_allclose(found, expected, rtol=0, atol=3e-5)
+
+
+@settings(max_examples=20)
+@given(seed=SEEDS)
+def test_voxels_that_count_are_the_same_in_every_box(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    voxels = rng.integers(0, 256, (44, 40, 36)).astype(np.uint8)
+    mask = rng.random(voxels.shape) < 0.99
+    # Thicker than what is filled.
+    x, y, z = rng.integers(0, 20, 3)
+    mask[z:z + 24, y:y + 24, x:x + 24] = False
+    masked = MaskedSource(ArraySource(Path("memory"), voxels), ArraySource(Path("mask"), mask.astype(np.uint8)))
+    lower = rng.integers(0, np.array([36, 40, 44]) - 10)
+    box = Window.between(lower, lower + rng.integers(10, np.array([36, 40, 44]) - lower + 1))
+    place = masked.extent.locate(box)
+    whole, part = (read_values(masked.image, window, masked.find_usable) for window in (masked.extent, box))
+    assert whole.usable is not None
+    assert part.usable is not None
+    np.testing.assert_array_equal(part.usable, whole.usable[place])
+    # Slopes are differences of bytes: the same to the last digit.
+    counted = part.usable > 0
+    for of_part, of_whole in zip(find_slopes(part), find_slopes(whole), strict=True):
+        np.testing.assert_array_equal(of_part[counted], of_whole[place][counted])
+    whole_g, part_g = (read_coefficients(masked.image, window, masked.find_usable) for window in (masked.extent, box))
+    assert part_g.usable is not None
+    # Of a voxel that counts, and of its neighbours, by which g beside it is interpolated.
+    of_part, of_whole = part_g.coefficients[2:-2, 2:-2, 2:-2], whole_g.coefficients[2:-2, 2:-2, 2:-2][place]
+    counted = ndimage.binary_dilation(part_g.usable > 0, np.ones((3, 3, 3)))
+    # int16, whose last digit is rounded: sums of the same numbers in another order.
+    np.testing.assert_allclose(of_part[counted], of_whole[counted], rtol=0, atol=1)
 
 
 @given(seed=SEEDS, before=st.integers(0, 3), after=st.integers(0, 3))

@@ -82,6 +82,8 @@ def test_boxes_in_a_volume_that_meet_node_to_node_are_accepted() -> None:
     check_joints(join(box_of((2, 2, 2), (10, 10, 10), (2, 2, 2)), box_of((10, 2, 2), (18, 10, 10), (2, 2, 2))))
     check_joints(box_mesh(3, "Tet4"))
     check_joints(box_mesh(3, "Hex8"))
+    # No voxel is in it: others say so.
+    check_joints(box_of((0.1, 0.1, 0.1), (0.3, 0.3, 0.3), (2, 2, 2)))
 
 
 @pytest.mark.parametrize(("other", "words"), [

@@ -172,6 +172,8 @@ def _find_overlapping_cells(mesh: Mesh, facets: Facets) -> IntArray:
     if mesh.dim == 2 and not _is_covered_twice(mesh, facets):
         return np.zeros(0, np.int64)
     raster = rasterize(mesh)
+    if not raster.pixel_counts.any():
+        return np.zeros(0, np.int64)
     return np.flatnonzero(raster.find_shared(raster.window) > SHARED * np.maximum(raster.pixel_counts, 1))
 
 
