@@ -68,7 +68,7 @@ def test_rectangles_are_of_about_equal_size(n: int) -> None:
 def test_blocks_are_those_of_a_mesh(blocks: tuple[int, int]) -> None:
     region = (3.0, 5.0, 163.0, 101.0)
     grid = build_grid_lines(region, 10.0)
-    found = number_of_cells(split_grid_by_blocks(grid, blocks), len(grid.x) - 1, len(grid.y) - 1)
+    found = number_of_cells(split_grid_by_blocks(grid, blocks), *grid.n_along)
     np.testing.assert_array_equal(found, split_by_blocks(build_structured_mesh(region, 10.0), blocks))
 
 
@@ -102,7 +102,7 @@ def inputs_of(folder: Path, more: str = "", mesh: str | None = None) -> Inputs:
 
 
 def parts_of(region: GridRegion, n_ranks: int) -> np.ndarray:
-    return number_of_cells(region.split(n_ranks), len(region.grid.x) - 1, len(region.grid.y) - 1)
+    return number_of_cells(region.split(n_ranks), *region.grid.n_along)
 
 
 def assert_same(found: Subdomain, expected: Subdomain) -> None:

@@ -105,7 +105,7 @@ def _estimate_noise_variance(correlation: Correlation) -> float:
 def _squared_details(f: GradientImage, rows: IntArray) -> Array:
     """Squares of the finest detail on some rows of an image, or planes of a volume, without its outermost pixels."""
     # (1, -2, 1) / sqrt(6) along each axis is blind to curvature along one, and keeps the variance of white noise.
-    values = f.values[f.window.grow(f.margin).locate(f.window)]
+    values = f.grey_levels
     behind, on, ahead = (values[rows + k].astype(np.float32) for k in (-1, 0, 1))
     detail = behind - 2.0 * on + ahead
     for axis in range(1, values.ndim):

@@ -284,10 +284,8 @@ def _is_linear(geometry, n_monomials, e, inverse):
             linear += abs(X[e, component, m])
         for m in range(4, n_monomials):
             mixed += abs(X[e, component, m])
-    if mixed > AFFINE * linear:
-        return False
     across = abs(inverse[1, 0]) + abs(inverse[2, 0])
-    return n_monomials == 4 or across <= AFFINE * abs(inverse[0, 0])
+    return mixed <= AFFINE * linear and (n_monomials == 4 or across <= AFFINE * abs(inverse[0, 0]))
 
 
 @numba.njit(**INLINED)
@@ -311,27 +309,31 @@ def _begin_row(geometry, e, row, scratch):
 
 
 @numba.njit(**INLINED)
+def _evaluate(X, n_monomials, e, i, xi, eta, zeta):
+    """A component of sum_m X_m phi_m."""
+    value = X[e, i, 0] + X[e, i, 1] * xi + X[e, i, 2] * eta + X[e, i, 3] * zeta
+    if n_monomials > 4:
+        value += (X[e, i, 4] + X[e, i, 7] * zeta) * xi * eta + (X[e, i, 5] * xi + X[e, i, 6] * eta) * zeta
+    return value
+
+
+@numba.njit(**INLINED)
 def _displace_row(D, n_monomials, e, i, start):
     """Displacement of a row's first voxel along an axis, and its growth from one voxel to the next."""
     xi, eta, zeta, a, b, c = start
-    first = D[e, i, 0] + D[e, i, 1] * xi + D[e, i, 2] * eta + D[e, i, 3] * zeta
     growth = D[e, i, 1] * a + D[e, i, 2] * b + D[e, i, 3] * c
     if n_monomials > 4:
-        along = D[e, i, 4] * eta + D[e, i, 5] * zeta + D[e, i, 7] * eta * zeta
-        first += along * xi + D[e, i, 6] * eta * zeta
-        growth += along * a
-    return first, growth
+        growth += (D[e, i, 4] * eta + (D[e, i, 5] + D[e, i, 7] * eta) * zeta) * a
+    return _evaluate(D, n_monomials, e, i, xi, eta, zeta), growth
 
 
 @numba.njit(**INLINED)
 def _count_together(t_x, t_y, t_z, du, dv, dw, n):
     """How many of n voxels of a row have displacements of one integer part: t are the first one's fractions."""
-    while n > 1:
-        k = n - 1
-        if 0.0 <= t_x + du * k < 1.0 and 0.0 <= t_y + dv * k < 1.0 and 0.0 <= t_z + dw * k < 1.0:
-            return n
-        n = k
-    return n
+    for last in range(n - 1, 0, -1):
+        if 0.0 <= t_x + du * last < 1.0 and 0.0 <= t_y + dv * last < 1.0 and 0.0 <= t_z + dw * last < 1.0:
+            return last + 1
+    return 1
 
 
 @numba.njit(**INLINED)
@@ -354,11 +356,8 @@ def _stays_inside(geometry, displacement, n_monomials, e, sizes):
     for corner in range(8):
         xi, eta, zeta = 2.0 * (corner & 1) - 1.0, 1.0 * (corner & 2) - 1.0, 0.5 * (corner & 4) - 1.0
         for i in range(3):
-            X, D = geometry[e, i], displacement[e, i]
-            at = X[0] + D[0] + (X[1] + D[1]) * xi + (X[2] + D[2]) * eta + (X[3] + D[3]) * zeta
-            if n_monomials > 4:
-                at += ((X[4] + D[4]) * xi * eta + (X[5] + D[5]) * xi * zeta + (X[6] + D[6]) * eta * zeta
-                       + (X[7] + D[7]) * xi * eta * zeta)
+            at = (_evaluate(geometry, n_monomials, e, i, xi, eta, zeta)
+                  + _evaluate(displacement, n_monomials, e, i, xi, eta, zeta))
             inside = inside and (1.0 <= at <= sizes[i] - 2.0)
     return inside
 
@@ -667,8 +666,8 @@ def _visit(cells, displacement, reference, deformed, sums, correction, out):
             for component in range(3):
                 first = 8 * (3 * kind + component)
                 for m in range(cells.n_monomials[e]):
-                    of_lanes = 0.0 if is_linear else _total_at(scratch.sums, first + m)
-                    sums.moments[e, kind, component, m] += scratch.moments[first + m] + of_lanes
+                    sums.moments[e, kind, component, m] += (scratch.moments[first + m]
+                                                            + _total_at(scratch.sums, first + m))
                 # Of a tetrahedron rows give mixed terms too, which belong to nothing.
                 store(scratch.moments, first, fill_wide(0.0))
         for k in range(N_SUMS):

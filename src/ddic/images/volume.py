@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ddic.arrays import Array
@@ -47,8 +47,8 @@ def read_values(source: ImageSource, window: Window, find_usable: FindUsable | N
     """
     whole = window.grow(REACH)
     pixels, usable = _read_box(source, whole, find_usable)
-    values = _new_box(whole, pixels.dtype if pixels.dtype in KEPT_TYPES else np.dtype(np.float32))
-    values[...] = pixels
+    # Kernels load whole vectors beyond the box: the voxels about it are room for them.
+    values = np.array(pixels, pixels.dtype if pixels.dtype in KEPT_TYPES else np.float32, order="C")
     if usable is not None:
         usable = without_cross(usable, DEGREE // 2 if excludes_taps else 0)[whole.locate(window)].copy()
     return GradientImage(window, values, values[None], usable, REACH)
@@ -65,7 +65,10 @@ def read_coefficients(source: ImageSource, window: Window, find_usable: FindUsab
     pixels, usable = _read_box(source, whole.grow(TAPS), find_usable)
     is_bytes = pixels.dtype == np.uint8
     scale, offset = (STEP, MIDDLE) if is_bytes else (1.0, 0.0)
-    out = _new_box(whole, np.dtype(np.int16 if is_bytes else np.float32))
+    # With room after its end, where kernels load whole vectors.
+    room = np.empty(whole.n_pixels + 2 * WIDTH, dtype=np.int16 if is_bytes else np.float32)
+    room[whole.n_pixels:] = 0
+    out = room[:whole.n_pixels].reshape(whole.shape)
     numbers = pixels if pixels.dtype in KEPT_TYPES else pixels.astype(np.float32, copy=False)
 
     def fill(slabs: Iterator[Window]) -> None:
@@ -106,10 +109,3 @@ def _read_box(source: ImageSource, box: Window,
     if not np.any(beyond):
         return pixels, usable
     return np.pad(pixels, beyond, mode="reflect"), None if usable is None else np.pad(usable, beyond, mode="reflect")
-
-
-def _new_box(box: Window, dtype: DTypeLike) -> NDArray[Any]:
-    """An array of a box's shape with room after its end, where kernels load whole vectors."""
-    room = np.empty(box.n_pixels + 2 * WIDTH, dtype=dtype)
-    room[box.n_pixels:] = 0
-    return room[:box.n_pixels].reshape(box.shape)

@@ -62,16 +62,6 @@ class GridLines:
     lines: tuple[Array, ...]
 
     @property
-    def x(self) -> Array:
-        """Of the lines across x, (n_columns + 1,), pixels."""
-        return self.lines[0]
-
-    @property
-    def y(self) -> Array:
-        """Of the lines across y, (n_rows + 1,), pixels."""
-        return self.lines[1]
-
-    @property
     def dim(self) -> int:
         """Number of space dimensions."""
         return len(self.lines)

@@ -402,7 +402,7 @@ def _cells_outside(grid: GridLines, outside: OutlinedHole) -> BoolArray:
 
 def _keep_largest_piece(inside: BoolArray, grid: GridLines) -> BoolArray:
     """The cells of a region without those that no side joins to most of them; InputError where these are many."""
-    by_row = inside.reshape(len(grid.y) - 1, -1).astype(np.uint8)
+    by_row = inside.reshape(grid.n_along[1], -1).astype(np.uint8)
     _, labels, sizes, _ = cv2.connectedComponentsWithStats(by_row, connectivity=4)
     n_cells = np.append(sizes[1:, cv2.CC_STAT_AREA], 0)
     if n_cells.max() == 0:
@@ -418,7 +418,7 @@ def _list_mask_holes(grid: GridLines, kept: BoolArray, by_mask: BoolArray) -> li
 
     ``by_mask`` are the cells that are left out for the mask alone.
     """
-    cut_out = np.pad(~kept.reshape(len(grid.y) - 1, -1), 1, constant_values=True).astype(np.uint8)
+    cut_out = np.pad(~kept.reshape(grid.n_along[1], -1), 1, constant_values=True).astype(np.uint8)
     labels = cv2.connectedComponents(cut_out, connectivity=8)[1]
     outer, of_cells = labels[0, 0], labels[1:-1, 1:-1].ravel()
     inside = by_mask & (of_cells != outer)
@@ -446,7 +446,7 @@ def _build_cells(grid: GridLines, quads: IntArray, triangles: IntArray, cell: st
     The diagonals alternate like the fields of a chessboard. With a target of the nodes, the other one is taken where a
     triangle would be too flat there, and a rectangle that would be is split.
     """
-    row, column = np.divmod(quads[:, 0], len(grid.x))
+    row, column = np.divmod(quads[:, 0], len(grid.lines[0]))
     is_turned = (row + column) % 2 == 1
     is_split = np.full(len(quads), cell == "T3")
     if target is not None:

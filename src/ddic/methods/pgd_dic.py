@@ -89,7 +89,7 @@ class _OutputCells:
 
     def evaluate_displacement(self, field: SeparatedField) -> Array:
         """Evaluate a displacement at their nodes, (n_nodes, 2), row by row, pixels."""
-        return field.evaluate_on_grid(self.grid.x, self.grid.y).reshape(-1, 2)
+        return field.evaluate_on_grid(*self.grid.lines).reshape(-1, 2)
 
 
 def _evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBands,
@@ -99,7 +99,7 @@ def _evaluate_output_cells(team: Team, grid: GridLines, reference: ReferenceBand
     ``grid`` has the lines between the cells, pixels. ``residual`` is that of this rank's bands, (n_rows, width) each,
     grey levels, grey levels corrected.
     """
-    along_x, along_y = LineElements(grid.x), LineElements(grid.y)
+    along_x, along_y = map(LineElements, grid.lines)
     sums = team.sum(sum((_sum_band(along_x, along_y, reference, number, rows) for number, rows in enumerate(residual)),
                         np.zeros((5, along_y.n_nodes - 1, along_x.n_nodes - 1))))
     n, r, rr, slopes, n_in_reference = sums.reshape(5, -1)

@@ -54,10 +54,9 @@ def draw_edges(rgba: Rgba, raster: ScreenRaster, mesh: Mesh | GridLines, outline
 def _list_lines(grid: GridLines, raster: ScreenRaster) -> Array:
     """Both ends of the lines of a grid that may be in sight, (n, 2, 2), pixels."""
     if grid.cell_size / raster.pitch[0] < SMALLEST_CELL:
-        grid = GridLines((grid.x[[0, -1]], grid.y[[0, -1]]))
+        grid = GridLines(tuple(line[[0, -1]] for line in grid.lines))
     x0, y0, x1, y1 = grid.box
-    x = grid.x[(grid.x >= raster.box[0]) & (grid.x <= raster.box[2])]
-    y = grid.y[(grid.y >= raster.box[1]) & (grid.y <= raster.box[3])]
+    x, y = _list_lines_in_sight(grid, raster)
     upright, level = [[(at, y0), (at, y1)] for at in x], [[(x0, at), (x1, at)] for at in y]
     return np.array([*upright, *level]).reshape(-1, 2, 2)
 
@@ -82,10 +81,14 @@ def find_nodes_in_sight(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
     """Find nodes that may be in sight, (n, 2), pixels; of a grid finer than dots on the screen, some in each dot."""
     if isinstance(mesh, Mesh):
         return mesh.nodes
-    x0, y0, x1, y1 = raster.box
     step = max(int(DOT * raster.pitch[0] / mesh.cell_size), 1)
-    x, y = mesh.x[(mesh.x >= x0) & (mesh.x <= x1)], mesh.y[(mesh.y >= y0) & (mesh.y <= y1)]
-    return GridLines((x[::step], y[::step])).nodes
+    return GridLines(tuple(line[::step] for line in _list_lines_in_sight(mesh, raster))).nodes
+
+
+def _list_lines_in_sight(grid: GridLines, raster: ScreenRaster) -> list[Array]:
+    """Places of the lines of a grid along each axis that may be in sight, pixels."""
+    sides = zip(grid.lines, raster.box[:2], raster.box[2:], strict=True)
+    return [line[(line >= low) & (line <= high)] for line, low, high in sides]
 
 
 def find_cell_centres(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
@@ -94,7 +97,7 @@ def find_cell_centres(mesh: Mesh | GridLines, raster: ScreenRaster) -> Array:
         overlay = Overlay.find(CellSearch(mesh), raster)
         return np.column_stack([overlay.interpolate(centres, by_cell=True) for centres in mesh.centroids.T])
     found = []
-    for lines, places in zip((mesh.x, mesh.y), raster.centres.T, strict=True):
+    for lines, places in zip(mesh.lines, raster.centres.T, strict=True):
         # Before the first line and behind the last one it is the last of these.
         centres = np.append(0.5 * (lines[1:] + lines[:-1]), np.nan)
         found.append(centres[np.searchsorted(lines, places, side="right") - 1])

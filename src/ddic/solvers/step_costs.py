@@ -143,27 +143,18 @@ class CostConstants:
 
 PLANE = CostConstants(
     system_memory=810.0,
-    whole=(
-        Factor(seconds=Growth(constant=6.7e-06, growing=7.4e-09), memory=Growth(constant=1300.0, growing=0.0)),
-        Factor(seconds=Growth(constant=1.1e-05, growing=4.6e-08), memory=Growth(constant=3500.0, growing=71.0)),
-    ),
+    whole=(Factor(Growth(6.7e-06, 7.4e-09), Growth(1300.0, 0.0)),
+           Factor(Growth(1.1e-05, 4.6e-08), Growth(3500.0, 71.0))),
     whole_solve=3e-08,
     parallel_factor=(0.63, 0.61),
     parallel_memory=0.87,
-    local=(
-        Factor(seconds=Growth(constant=1.5e-06, growing=1.5e-08), memory=Growth(constant=1500.0, growing=40.0)),
-        Factor(seconds=Growth(constant=4.7e-06, growing=6.8e-08), memory=Growth(constant=2400.0, growing=180.0)),
-    ),
+    local=(Factor(Growth(1.5e-06, 1.5e-08), Growth(1500.0, 40.0)),
+           Factor(Growth(4.7e-06, 6.8e-08), Growth(2400.0, 180.0))),
     local_solve=2e-08,
-    interface=(
-        Factor(seconds=Growth(constant=6.9e-06, growing=0.0), memory=Growth(constant=0.0, growing=0.0)),
-        Factor(seconds=Growth(constant=1.1e-05, growing=1.7e-07), memory=Growth(constant=0.0, growing=0.0)),
-    ),
-    sparse_interface=(
-        Factor(seconds=Growth(constant=3.7e-06, growing=2.7e-09), memory=Growth(constant=0.0, growing=0.0)),
-        Factor(seconds=Growth(constant=1.5e-05, growing=8.4e-10), memory=Growth(constant=980.0, growing=0.0)),
-    ),
-    coarse_set_up=Growth(constant=1.6e-05, growing=5.3e-08),
+    interface=(Factor(Growth(6.9e-06, 0.0), Growth(0.0, 0.0)), Factor(Growth(1.1e-05, 1.7e-07), Growth(0.0, 0.0))),
+    sparse_interface=(Factor(Growth(3.7e-06, 2.7e-09), Growth(0.0, 0.0)),
+                      Factor(Growth(1.5e-05, 8.4e-10), Growth(980.0, 0.0))),
+    coarse_set_up=Growth(1.6e-05, 5.3e-08),
     dual_product=2.3,
     one_level_iterations=(2.0, 3.2),
     two_level_iterations=2.0,

@@ -99,7 +99,8 @@ def match_blocks(pair: BinnedPair, mesh: Mesh) -> tuple[Array, Array]:
         # What was sought in vain is not sought again.
         is_left[first] = False
         if seed is not None:
-            _spread(volumes, places, is_place, {first: seed}, found)
+            found[first] = seed
+            _spread(volumes, places, is_place, first, found)
             is_left[tuple(np.transpose(list(found)))] = False
     starts = np.array([places[number] for number in found]).reshape(-1, 3)
     return starts, np.array([ball.motion[:, 3] for ball in found.values()]).reshape(-1, 3) - starts
@@ -126,11 +127,10 @@ def _seek_at(place: Array, wide: _Volumes, ratio: int, volumes: _Volumes) -> Bal
     return volumes.match(place, np.column_stack([gradient, moved]))
 
 
-def _spread(volumes: _Volumes, places: Array, is_place: BoolArray, seeds: dict[tuple[int, ...], Ball],
+def _spread(volumes: _Volumes, places: Array, is_place: BoolArray, first: tuple[int, ...],
             found: dict[tuple[int, ...], Ball]) -> None:
-    """Match what lies beside seeds, and beside that, the best first; it is added to what is found."""
-    found.update(seeds)
-    waiting = [(-ball.coefficient, number) for number, ball in seeds.items()]
+    """Match what lies beside the first place, and beside that, the best first; it is added to what is found."""
+    waiting = [(-found[first].coefficient, first)]
     while waiting:
         _, number = heappop(waiting)
         motion = found[number].motion
