@@ -66,8 +66,8 @@ OPEN: dict[tuple[str, str], str] = {
         "two levels: 24 to 34 iterations beside 25; 30 modes a subdomain in place of 12 take 21 to 26, and three times "
         "the set-up: a linear step of 216 subdomains takes 169 CPU s in place of 66",
     ("volumes", "kernels"):
-        "on a slow day, as beam_kernels: prefilter 227, Hex8 98, warped 47 and Tet4 53 Mvoxel/s beside 300, 140, 50 and "
-        "60; Hessians hold",
+        "on a slow day, as beam_kernels: prefilter 227, Hex8 98, warped 47 and Tet4 53 Mvoxel/s beside 300, 140, 50 "
+        "and 60; Hessians hold",
     ("volumes", "long_wavelength"):
         "on the same slow day 23 CPU s beside 20",
     ("volumes", "peers"):
