@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import re
 import signal
 import subprocess
 import time
@@ -84,12 +83,14 @@ def test_it_goes_on_from_where_it_was_stopped(folder: Path, ranks: int) -> None:
 
 def test_a_stop_before_the_first_iteration_leaves_no_field(folder: Path) -> None:
     early = """
-import os, signal
+import os, signal, time
 import ddic.methods.run as run_pair
 ordinary = run_pair.open_inputs
-def open_and_signal(*arguments):
+def open_and_signal(team, *arguments):
     os.kill(os.getpid(), signal.SIGTERM)
-    return ordinary(*arguments)
+    while not team.stop.asked:  # another thread notes it, on a busy machine later than an iteration takes
+        time.sleep(0.01)
+    return ordinary(team, *arguments)
 run_pair.open_inputs = open_and_signal
 """
     job = finished(driven(early, folder), 0)
@@ -101,19 +102,20 @@ run_pair.open_inputs = open_and_signal
 def test_separated_corrections_stop_too(folder: Path) -> None:
     write_case(folder, "[pgd]\ntolerance = 1e-300\nrms_tolerance = 1e-300\nstop_at_noise = false\n")
     third = """
-import os, signal
+import os, signal, time
 import ddic.methods.pgd_dic as pgd_dic
 ordinary = pgd_dic.SeparatedSession._report
 def report_and_signal(session, record):
     if record.number == 3:
         os.kill(os.getpid(), signal.SIGUSR1)
+        while not session._problem.team.stop.asked:
+            time.sleep(0.01)
     ordinary(session, record)
 pgd_dic.SeparatedSession._report = report_and_signal
 """
     job = finished(driven(third, folder), 0)
     assert job.code == 3, job.err
-    # The signal may be noted one correction later: another thread does it.
-    assert re.match("stopped by a signal after correction [34],", job.errors[0])
+    assert job.errors[0].startswith("stopped by a signal after correction 3,")
     _check_kept_field(folder / "result.not_converged.vtkhdf")
 
 
