@@ -9,6 +9,9 @@ OPEN: dict[tuple[str, str], str] = {
     ("clean", "real_pairs"):
         "fracture, no l_c: since the start is spread over ranks (26839ec5) spots of 6 and 22 nodes are 0.004 px off, "
         "0.17 of their standard deviation beside a bound of 0.1: the light of a frame is told where the start puts it",
+    ("clean", "pyvale"):
+        "noise 2: 7.2 times on a day on which ddic took 1.54 and pyvale 1.33 times the CPU time of the day before, "
+        "where it was 8.3; to be measured again on another day",
     ("clean", "whole_commands"):
         "three looks at the frame, checks of the mesh, ranges and strains at nodes, which a354d27 does without, take "
         "what is saved elsewhere; that commit leaves a node of the tension pair 0.58 px off, this one none by 0.016 px",
@@ -47,6 +50,9 @@ OPEN: dict[tuple[str, str], str] = {
         "on the beam a search for garbage of 70 ms, which ddic does not make and this job does, falls into one kind of "
         "work on two ranks; without it 1.79 to 1.91, and 1.83 to 1.93 on the whole image: two processor cores of a "
         "shared machine slow each other down",
+    ("right", "beam_kernels"):
+        "73 and 74 Mpx/s on a day on which commit 111554a8, which had 104 before, has 74 as well: the processor, not "
+        "the code",
     ("right", "disturbed"):
         "beside a crack of 20 px, without l_c or with 128 px, a node of a cell that is not marked is 0.305 px off",
     ("solver", "iterations"):
