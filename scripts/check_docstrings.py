@@ -224,7 +224,7 @@ def is_inherited(described: Described, classes: dict[str, ast.ClassDef]) -> bool
 
 def has_shape(text: str, description: Iterable[str]) -> bool:
     """Tell whether a documented type, or its description, says what shape an array has."""
-    return re.search(r"\([^)]*\)", text) is not None or "shape" in " ".join(description)
+    return re.search(r"\([^)]*\)|shape", text) is not None or "shape" in " ".join(description)
 
 
 def is_array(annotation: ast.AST | None) -> bool:

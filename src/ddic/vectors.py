@@ -25,7 +25,15 @@ _COUNT = ir.Constant(_INTEGERS, list(range(WIDTH)))
 
 
 class VectorType(types.Type):  # type: ignore[misc]
-    """Numba's type of a vector."""
+    """Numba's type of a vector.
+
+    Parameters
+    ----------
+    name : str
+        As numba tells it.
+    element : ir.Type
+        LLVM's type of its numbers.
+    """
 
     def __init__(self, name, element):
         super().__init__(name=name)
@@ -66,7 +74,7 @@ def _halve(builder, values, n):
 
 @intrinsic
 def load(typing_context, array, i):
-    """array[i : i + WIDTH], integers as float32."""
+    """Neighbouring numbers of an array, array[i : i + WIDTH], integers as float32."""
     holds = array.dtype
 
     def generate(context, builder, signature, arguments):

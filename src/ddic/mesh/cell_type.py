@@ -24,13 +24,39 @@ FEWEST_MONOMIALS = 4
 
 
 def evaluate_monomials(local: Array, n_monomials: int | None = None) -> Array:
-    """Evaluate the first monomials, by default all, at points of the reference cell, (n, dim): (n, n_monomials)."""
+    """Evaluate monomials at points of the reference cell.
+
+    Parameters
+    ----------
+    local : (n, dim) array
+        The points.
+    n_monomials : int, optional
+        The first so many; all by default.
+
+    Returns
+    -------
+    (n, n_monomials) array
+        phi_m at each point.
+    """
     exponents = EXPONENTS[local.shape[1]][:n_monomials]
     return np.asarray(_take_powers(local, exponents).prod(axis=2))
 
 
 def differentiate_monomials(local: Array, n_monomials: int | None = None) -> Array:
-    """Differentiate the first monomials, by default all, by each local coordinate: (n, n_monomials, dim)."""
+    """Differentiate monomials by each local coordinate.
+
+    Parameters
+    ----------
+    local : (n, dim) array
+        The points.
+    n_monomials : int, optional
+        The first so many; all by default.
+
+    Returns
+    -------
+    (n, n_monomials, dim) array
+        d phi_m / dxi_j at each point.
+    """
     exponents = EXPONENTS[local.shape[1]][:n_monomials]
     # No power is above 1: a derivative loses the coordinate, or is 0 where there is none.
     powers = _take_powers(local, exponents)

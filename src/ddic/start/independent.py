@@ -119,8 +119,8 @@ class Images:
     ----------
     reference, deformed : MaskedSource
         The images; their pixels are the unit of length.
-    active : array of uint8
-        1 on the pixels of a part of the reference image that count, 0 on others.
+    active : array of a part's shape
+        1 on the pixels of that part of the reference image that count, 0 on others.
     degree : int
         Of the spline between pixels.
     correction : GreyCorrection

@@ -73,7 +73,15 @@ Motion = Array
 
 
 class Ball(NamedTuple):
-    """A ball that was found: its correlation coefficient, and how it has moved."""
+    """A ball that was found.
+
+    Attributes
+    ----------
+    coefficient : float
+        Of correlation.
+    motion : (3, 4) array
+        How it has moved, as Motion says.
+    """
 
     coefficient: float
     motion: Motion
