@@ -76,7 +76,10 @@ file = "volume.vtkhdf"
 
 
 def _cases(folder: Path) -> list[Path]:
-    """A TIFF pair on Q4, a PNG pair on triangles around a hole without the saturated pixels, volumes on tetrahedra."""
+    """A TIFF pair on Q4, a PNG pair on triangles around a hole without the saturated pixels, volumes on tetrahedra.
+
+    The last again, under a light that varies.
+    """
     write_images(folder)
     for name in ("f", "g"):
         cv2.imwrite(str(folder / f"{name}.png"), tifffile.imread(folder / f"{name}.tif"))
@@ -84,13 +87,17 @@ def _cases(folder: Path) -> list[Path]:
     second = folder / "png.toml"
     text = first.read_text().replace(".tif", ".png").replace("[images]", "[images]\nexclude_saturated = true")
     second.write_text(text.replace("element_size", TRIANGLES + "element_size") + '[output]\nfile = "p.vtkhdf"\n')
-    for name, values in zip(("before", "after"), make_pair(40), strict=True):
+    before, after = make_pair(40)
+    lit = after + np.linspace(0.0, 40.0, after.shape[2])
+    for name, values in (("before", before), ("after", after), ("lit", lit)):
         tifffile.imwrite(folder / f"{name}.tif", values.round().clip(0, 255).astype(np.uint8))
     mesh = box_mesh(0, "Tet4", (4, 3, 3), 0.0)
     write_mesh(folder / "tetrahedra.vtu", replace(mesh, nodes=mesh.nodes + 12.0))
     third = folder / "volumes.toml"
     third.write_text(OF_VOLUMES)
-    return [first, second, third]
+    fourth = folder / "lit.toml"
+    fourth.write_text(OF_VOLUMES.replace("after", "lit").replace("volume.vtkhdf", "lit.vtkhdf"))
+    return [first, second, third, fourth]
 
 
 def test_runs_of_other_cases_compile_nothing_more(tmp_path: Path) -> None:

@@ -475,10 +475,9 @@ def _visit_linear_row(cells, displacement, reference, deformed, e, row, inside, 
         u, v, w, weight = u0 + du * step, v0 + dv * step, w0 + dw * step, 1.0
         n = min(row.stop - x, WIDTH)
         if not inside:
-            last = n - 1
-            if not (_is_inside(deformed.sizes, x + u, row.y + v, row.z + w)
-                    and _is_inside(deformed.sizes, x + last + u + du * last, row.y + v + dv * last,
-                                   row.z + w + dw * last)):
+            last, sizes = n - 1, deformed.sizes
+            if not (_is_inside(sizes, x + u, row.y + v, row.z + w)
+                    and _is_inside(sizes, x + u + (1 + du) * last, row.y + v + dv * last, row.z + w + dw * last)):
                 n = 1
                 u, v, w, weight = _place_alone(deformed, row, x, u, v, w)
         i, j, k = math.floor(u), math.floor(v), math.floor(w)
