@@ -38,7 +38,7 @@ def run_smoke(tables: Sequence[str]) -> int:
     """Run every check of some tables on tiny cases."""
     failed, verdicts = [], []
     with ThreadPoolExecutor(N_LANES) as lanes:
-        # The last table takes longest: begun last, it would leave the other lane idle.
+        # Of the last ones newcomer takes long: begun late, it would leave the other lane idle.
         running = {lanes.submit(_run_table, table): table for table in reversed(tables)}
         for done in as_completed(running):
             code, printed = done.result()
