@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ddic
+from ddic.errors import InputError
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result
 from support.volumes import GRADIENT, cube_mesh, displace, make_pair
@@ -69,3 +70,41 @@ def test_the_file_is_read_back_by_ddic_and_by_vtk(tmp_path: Path) -> None:
     shown = pyvista.read(tmp_path / "cube.residual.vtkhdf")
     assert shown.dimensions == (SIZE, SIZE, SIZE)
     np.testing.assert_array_equal(np.asarray(shown.point_data[schema.RESIDUAL]).reshape(image.shape), image)
+
+
+@pytest.mark.parametrize("hidden", ["the whole surface", "a part of it"])
+def test_matching_measures_what_a_mask_leaves(hidden: str) -> None:
+    f, g = make_pair(SIZE)
+    z, y, x = np.mgrid[:SIZE, :SIZE, :SIZE] - (SIZE - 1) / 2
+    seen = x**2 + y**2 + (z**2 if hidden == "the whole surface" else 0) < 12.0**2
+    sections = {**COARSE, "regularization": {"cut_off_wavelength": 24}}
+    found = [ddic.measure((ddic.Image(f, mask=seen), g), cube_mesh(LOW, HIGH, 4), solver={"method": method}, **sections)
+             for method in ("matching", "conjugate_gradient")]
+    # Both leave 1e-3 of each linear step, and of the field.
+    np.testing.assert_allclose(found[0].displacement, found[1].displacement, atol=1e-2)
+    # 50 to 300; nodes without voxels once stood in the way of a thousand.
+    assert max(len(residuals) for residuals in found[0].krylov) < 500
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+def test_the_same_volume_twice_is_told(dtype: str) -> None:
+    values, noise = make_pair(SIZE)[0], np.random.default_rng(0).standard_normal((2, SIZE, SIZE, SIZE))
+    one, other = (np.clip(np.rint(values + of_it), 0, 255).astype(dtype) for of_it in noise)
+    same, alike = (ddic.measure(pair, cube_mesh(LOW, HIGH, 4), **COARSE) for pair in ((one, one), (one, other)))
+    assert "is it the right file?" in str(same.verdict.reasons)
+    assert "is it the right file?" not in str(alike.verdict.reasons)
+    # Coefficients of bytes are rounded to a tenth of a grey level.
+    assert np.abs(same.displacement).max() < 3e-3
+
+
+def test_files_are_volumes_where_the_section_says_so(tmp_path: Path) -> None:
+    f, g = make_pair(SIZE)
+    files = {"reference": tmp_path / "f.npy", "deformed": tmp_path / "g.npy"}
+    for path, values in zip(files.values(), (f, g), strict=True):
+        np.save(path, values)
+    result = ddic.measure(volumes=files, mesh=cube_mesh(LOW, HIGH, 4), **COARSE)
+    np.testing.assert_allclose(result.displacement, displace(result.mesh.nodes, SIZE), atol=BIAS)
+    with pytest.raises(InputError, match=r"volumes=\{"):
+        ddic.measure(tuple(files.values()), cube_mesh(LOW, HIGH, 4), **COARSE)
+    with pytest.raises(InputError, match="give volumes, with voxel_size"):
+        ddic.measure((f, g), cube_mesh(LOW, HIGH, 4), images={"length_unit": "mm", "pixel_size": 0.1})

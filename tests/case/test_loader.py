@@ -15,6 +15,8 @@ from ddic.case.loader import load_case, load_case_leniently
 from ddic.case.schema import Case
 from ddic.errors import InputError
 
+NEAR = '[[near]]\nreference = "n.tif"\ndeformed = "m.tif"\nratio = 2\noffset = [0, 0]\n'
+
 SMALLEST = """
 [images]
 reference = "f.tif"
@@ -89,6 +91,9 @@ def test_relative_case_file_gives_absolute_paths(tmp_path: Path, monkeypatch: py
      "regularization.not_controlled[0] = []: expected a text in quotes"),
     ("[solver]\nblocks = [1, 2, 3]\npartition = 'blocks'",
      "solver.blocks: 3 numbers, 2 expected beside [images]"),
+    (f"{NEAR}masked = [[1, 2, 3, 4, 5, 6]]", "near[0].masked: 6 numbers, 4 expected beside [images]"),
+    (f"{NEAR}mesh.structured = {{region = [0, 0, 0, 9, 9, 9], element_size = 3}}",
+     "near[0].mesh.structured.region: 6 numbers, 4 expected beside [images]"),
     ("[discontinuity]\nvertices = [[0, 0], [9, 9]]",
      "discontinuity: one section is given, a list of them expected: [[discontinuity]], or [{...}] in Python"),
     ("[regularization]\nplane = 'stress'",

@@ -8,7 +8,7 @@ import tifffile
 
 from ddic.errors import InputError
 from ddic.images.binned import ArraySource
-from ddic.images.grey_levels import check_finite, find_saturation, measure_grey_levels
+from ddic.images.grey_levels import check_finite, check_noise, find_saturation, measure_grey_levels
 from ddic.io.image_file import open_image
 
 
@@ -17,7 +17,7 @@ def test_grey_levels_do_not_depend_on_the_bands(monkeypatch: pytest.MonkeyPatch)
     pixels[4, :5] = 255
     source = ArraySource(Path("memory"), pixels, saturation=255.0)
     whole = measure_grey_levels(source)
-    monkeypatch.setattr("ddic.images.grey_levels.BAND_PIXELS", 80)
+    monkeypatch.setattr("ddic.images.grey_levels.BAND_PIXELS", {2: 80})
     banded = measure_grey_levels(source)
     assert whole.n_saturated == banded.n_saturated == np.count_nonzero(pixels == 255)
     # Sums in another order: a few roundings of float64.
@@ -45,7 +45,7 @@ def test_not_finite_pixels_are_found_in_later_bands(monkeypatch: pytest.MonkeyPa
     pixels = np.zeros((9, 4))
     pixels[7, 2] = np.nan
     source = ArraySource(Path("memory"), pixels)
-    monkeypatch.setattr("ddic.images.grey_levels.BAND_PIXELS", 8)
+    monkeypatch.setattr("ddic.images.grey_levels.BAND_PIXELS", {2: 8})
     with pytest.raises(InputError, match=r"1 pixel.*\(2, 7\)"):
         check_finite(source)
 
@@ -78,3 +78,13 @@ def test_colour_images_saturate_where_all_colours_do() -> None:
     image = ArraySource(Path("memory"), np.full((4, 5), 255.0, np.float32), 255.0)
     assert find_saturation(image) == 255
     assert measure_grey_levels(image).n_saturated == 20
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "int32", "int64"])
+def test_noise_of_wide_integers_is_that_of_levels_of_16_bits(dtype: str) -> None:
+    pixels = np.arange(0, 25600, 100, dtype=dtype).reshape(16, 16)
+    source = ArraySource(Path("memory"), pixels, float(np.iinfo(dtype).max))
+    check_noise(source, 0.01)
+    check_noise(source, 150.0)
+    with pytest.raises(InputError, match=r"noise = 0\.001"):
+        check_noise(source, 0.001)

@@ -11,7 +11,7 @@ from ddic.images.window import Window
 
 @pytest.mark.parametrize(("most", "n_bands"), [(10_000, 10), (2_000, 2), (1, 1)])
 def test_bands_hold_no_more_pixels_than_are_looked_at(most: int, n_bands: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grey_levels, "BAND_PIXELS", 1000)
+    monkeypatch.setattr(grey_levels, "BAND_PIXELS", {2: 1000})
     monkeypatch.setattr(grey_levels, "MOST_LOOKED_AT", most)
     window = Window((5, 7), (105, 107))
     bands = list(list_spread_bands(window))

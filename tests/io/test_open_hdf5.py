@@ -11,7 +11,7 @@ import pytest
 
 from ddic.errors import InputError
 from ddic.io import hdf5_file
-from ddic.io.hdf5_file import open_hdf5
+from ddic.io.hdf5_file import open_hdf5, read_array
 from support.commands import ddic
 
 HEAP = b"GCOL"
@@ -84,3 +84,17 @@ def test_what_cannot_be_listed_is_damaged(tmp_path: Path) -> None:
     _overwrite(path, path.read_bytes().index(b"SNOD"), 100)
     with pytest.raises(InputError, match="damaged"):
         open_hdf5(path)
+
+
+def test_a_part_is_read_of_what_is_nearly_empty_and_the_whole_of_what_is_damaged_is_not(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "sparse.h5", "w") as file:
+        sparse = file.create_dataset("residual", (2048, 2048, 2048), np.float32, chunks=(64,) * 3, compression="gzip",
+                                     fillvalue=np.nan)
+        sparse[64:128, 64:128, 64:128] = 1.0
+    with h5py.File(tmp_path / "sparse.h5") as file:
+        plane = read_array(file["residual"], (slice(100, 101), slice(0, 128), slice(0, 128)))
+        assert np.isnan(plane[0, :64]).all()
+        assert (plane[0, 64:, 64:] == 1.0).all()
+        # 34 GB beside a chunk of a few hundred bytes.
+        with pytest.raises(ValueError, match=f"claims {4 * 2048**3} bytes"):
+            read_array(file["residual"])

@@ -124,6 +124,7 @@ def test_what_gmsh_refuses_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(("arguments", "words"), [
     (((0, 0, 60, 50), 9, "Q8"), 'mesh.unstructured: cell = "Q8"'),
     (((0, 0, 60, 50), 0), "a size above 0"),
+    (((0, 0, 0, 60, 50, 40), 9), "a plane one, (x0, y0, x1, y1), is meshed"),
     (((60, 0, 0, 50), 9), "expected x0 < x1"),
     (((0, 0, 60, 50), 9, "T3", [((30, 25), -1)]), "mesh.unstructured.circles[0]: radius = -1"),
     (((0, 0, 60, 50), 9, "T3", [((30, 25), 25)]), "mesh.unstructured: hole_0 leaves the region"),

@@ -16,6 +16,7 @@ from accept.report_page import find_clipped_texts, find_smallest_type
 from ddic.cli.info import info, report
 from ddic.cli.plot import plot
 from ddic.cli.plot_figures import find_shared_scale
+from ddic.errors import InputError
 from ddic.images.binned import ArraySource
 from ddic.io import result_schema as schema
 from ddic.io.result_reader import Result, read_result
@@ -75,6 +76,8 @@ def test_components_are_those_of_their_names(path: Path) -> None:
         assert number in panel.label
         (deviation,) = list_sigma_panels(result, "magnitude", number, PIXELS)
         np.testing.assert_array_equal(deviation.values, 1e-5 * expected[:, place])
+    with pytest.raises(InputError, match="noise of strain principal-3 is not estimated; give one of xx, yy, zz"):
+        list_sigma_panels(result, "magnitude", "principal-3", PIXELS)
     panels = list_strain_panels(result, StrainChoice(by_cell=True))
     assert [panel.label.split("{")[1].split("}")[0] for panel in panels] == ["xx", "yy", "zz", "xy", "yz", "xz"]
     # Principal values of xx, yy, zz, xy, yz, xz by the tensor itself.

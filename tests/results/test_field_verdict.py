@@ -35,7 +35,7 @@ def test_a_field_that_nothing_speaks_against_is_trusted() -> None:
     assert choose_verdict(Evidence(1000, 21)).word == LOOK
 
 
-@pytest.mark.parametrize(("state", "remedy"), [(BLANK, "columns first"), (SPOILT, "what hides the specimen"),
+@pytest.mark.parametrize(("state", "remedy"), [(BLANK, "comes before y"), (SPOILT, "what hides the specimen"),
                                                (UNSEEN, "leaves the image there"), (HELD_OFF, "cut_off_wavelength")])
 def test_a_few_marked_cells_are_a_place_to_look_at(state: int, remedy: str) -> None:
     verdict = choose_verdict(Evidence(1000, 3, [marked(state, 3)]))

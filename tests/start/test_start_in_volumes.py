@@ -12,6 +12,7 @@ import pytest
 from mpi4py import MPI
 from scipy.spatial.transform import Rotation
 
+import ddic
 from ddic.case.schema import StartSection
 from ddic.mesh.mesh import Mesh, join_meshes
 from ddic.parallel.team import Team, require_held
@@ -28,6 +29,7 @@ from ddic.start.predicted_error import predict_error
 from ddic.synth.fields import Affine, Translation
 from support.pictures import source
 from support.speckled_volumes import box_mesh, find_errors, pair_of, snow_of, turn_and_stretch
+from support.volumes import displace, make_pair
 
 SIDE = 80
 MESH = box_mesh((20.0,) * 3, (60.0,) * 3, (4, 4, 4))
@@ -106,6 +108,16 @@ class _Parting:
     def displacement(self, points: np.ndarray) -> np.ndarray:
         is_above = points[:, 2:] > self.z
         return np.where(is_above, self.above.displacement(points), self.below.displacement(points))
+
+
+@pytest.mark.parametrize("depth", [9, 12, 17])
+def test_a_volume_thinner_than_a_ball_is_started(depth: int) -> None:
+    f, g = (values[:depth] for values in make_pair(48))
+    # Nothing is known of it beforehand: balls are sought.
+    result = ddic.measure((f, g), ddic.structured_mesh((6, 6, 1, 42, 42, depth - 2), 6))
+    error = result.displacement - displace(result.mesh.nodes, 48)
+    # Elements of 6 voxels, of waves of 6 to 14: 0.01 to 0.02 px RMS.
+    assert np.sqrt((error**2).mean()) < 0.03
 
 
 def test_bodies_that_part_keep_their_own_motion() -> None:

@@ -113,13 +113,16 @@ def sort_arguments(sections: Mapping[str, Any], *, mesh: Any = None, start: Any 
 
 
 def _take_out(sections: dict[str, Any], name: str, key: str) -> Any:
-    """Take a key out of a section, with the section where nothing is left of it; None where there is no such key."""
+    """Take a key out of a section, with the section where nothing is left of it; None where there is no such key.
+
+    That of volumes stays: without it they would be images.
+    """
     section = sections.get(name)
     if not isinstance(section, Mapping) or key not in section:
         return None
     rest = {other: value for other, value in section.items() if other != key}
     sections.pop(name)
-    if rest:
+    if rest or name == "volumes":
         sections[name] = rest
     return section[key]
 
@@ -188,6 +191,8 @@ def make_case(sections: Mapping[str, Any], reference: Any = None) -> Case:
     # Three or four numbers along the last axis are those of a colour.
     is_volume = "volumes" in data or (len(shape) == 3 and shape[-1] > 4)
     imaging = "volumes" if is_volume else "images"
+    if is_volume and "images" in data:
+        raise InputError(f"{ARGUMENTS}: images does not go with volumes; give volumes, with voxel_size for pixel_size")
     return find_frames(convert_to_case(_complete(data, imaging), str(ARGUMENTS)), ARGUMENTS)
 
 
@@ -361,7 +366,8 @@ def convert_given_mesh(given: MeshLike, mapping: Similarity, dim: int) -> Mesh:
         given = _from_arrays(*given, dim)
     if isinstance(given, Mesh):
         if given.dim != dim:
-            raise InputError(f"mesh: of {given.dim} dimensions, {dim} expected beside the images")
+            raise InputError(f"mesh: of {given.dim} dimensions, {dim} expected beside the images; give files of "
+                             "volumes as volumes={\"reference\": ..., \"deformed\": ...}")
         if mapping == Similarity():
             # The nodes stay to the last digit.
             return given
@@ -388,8 +394,7 @@ def _from_arrays(given_nodes: Any, given_cells: Any, dim: int) -> Mesh:
     if cells.ndim != 2 or cells.shape[1] not in by_n_nodes or cells.dtype.kind not in "iu":
         raise InputError(f"mesh: cells of shape {cells.shape} and type {cells.dtype}, whole numbers of shape (n_cells, "
                          f"{widths}) expected: the nodes of each cell, numbered from 0")
-    kind = by_n_nodes[cells.shape[1]]
-    return build_mesh(nodes.astype(np.float64), [(kind, cells.astype(np.int64))])
+    return build_mesh(nodes.astype(np.float64), [(by_n_nodes[cells.shape[1]], cells.astype(np.int64))])
 
 
 def _convert_rows(given: Any, name: str) -> NDArray[Any]:

@@ -123,8 +123,7 @@ def _vary(inputs: Inputs, candidate: Candidate) -> Inputs:
     """The inputs with a candidate's case and mesh."""
     case = set_resolution(inputs.case, candidate.element_size, candidate.cut_off_wavelength)
     image: Any = inputs.cameras[0].reference.image
-    return replace(inputs, case=case, n_frames=N_FRAMES,
-                   build_mesh=lambda: build_meshes(case, image.extent))
+    return replace(inputs, case=case, n_frames=N_FRAMES, build_mesh=lambda: build_meshes(case, image.extent))
 
 
 Kind = Literal["uniform", "discontinuous"]

@@ -360,8 +360,7 @@ def _linearise(far: GradientImage, near: NearImage, model: CameraModel, paramete
     averages = near.average(mapping, seen.points)
     near_grey, near_gradient = averages[:, 0], averages[:, 1:]
     inside = far.window.locate(seen.window)
-    far_grey, by_x, by_y = (values[inside][seen.mask].astype(np.float64)
-                            for values in (far.values, *far.slopes))
+    far_grey, by_x, by_y = (values[inside][seen.mask].astype(np.float64) for values in (far.values, *far.slopes))
     # grad f_far = (d phi / d X)^T grad f_near.
     transposed = mapping.jacobian(seen.points).transpose(0, 2, 1)
     far_gradient = np.linalg.solve(transposed, np.column_stack([by_x, by_y])[:, :, None])[:, :, 0]

@@ -704,8 +704,7 @@ class StartSection(Section):
     """The same from displacements at points: a CSV file with a header row that names the columns x, y, u, v, of volumes
     x, y, z, u, v, w too, pixels of the reference image."""
 
-    points: Annotated[
-        tuple[Match, ...] | None, note(unit="px", shape="list of [x, y, x', y']")] = None
+    points: Annotated[tuple[Match, ...] | None, note(unit="px", shape="list of [x, y, x', y']")] = None
     """The same from a few points: each in the reference image, then where it is in the deformed one; of volumes six
     numbers. One says a
     translation, two a rotation with a scale, three an affine map, more what lies between them."""
@@ -918,17 +917,20 @@ class Case(Section):
 
     def _list_wrong_lengths(self) -> Iterator[str]:
         """Coordinates of the wrong number."""
-        dim, meshed, regularization = self.dim, self.mesh.meshed, self.regularization
-        boxes = () if regularization is None else regularization.boxes
-        box = () if meshed is None or isinstance(meshed.region, ShapeSection) else meshed.region
+        dim, boxes = self.dim, () if self.regularization is None else self.regularization.boxes
         given: dict[str, tuple[int, list[Sized]]] = {
-            f"{self.mesh.name}.region": (2 * dim, [box]),
-            "mesh.mapping.translation": (dim, [self.mesh.mapping.translation]),
             "regularization.boxes": (2 * dim, list(boxes)),
             "solver.blocks": (dim, [self.solver.blocks or ()]),
             "start.points": (2 * dim, list(self.start.points or ())),
-            "images.masked": (2 * dim, [shape for shape in self.imaging.masked if not isinstance(shape, ShapeSection)]),
         }
+        near = [(f"near[{k}].", section, section.mesh) for k, section in enumerate(self.near)]
+        for prefix, images, mesh in (("", self.imaging, self.mesh), *near):
+            if mesh is not None:
+                box = () if mesh.meshed is None or isinstance(mesh.meshed.region, ShapeSection) else mesh.meshed.region
+                given[f"{prefix}{mesh.name}.region"] = (2 * dim, [box])
+                given[f"{prefix}mesh.mapping.translation"] = (dim, [mesh.mapping.translation])
+            given[f"{prefix or 'images.'}masked"] = (2 * dim, [shape for shape in images.masked
+                                                               if not isinstance(shape, ShapeSection)])
         for key, (wanted, values) in given.items():
             wrong = [len(value) for value in values if len(value) not in (0, wanted)]
             if wrong:

@@ -188,8 +188,7 @@ def build_checked_mesh(loaded: LoadedCase, image: ImageSource) -> Mesh | GridLin
     return mesh
 
 
-def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridLines,
-                     pattern: Pattern) -> CheckReport:
+def describe_pattern(report: CheckReport, loaded: LoadedCase, mesh: Mesh | GridLines, pattern: Pattern) -> CheckReport:
     """Add to a report what the reference image's pattern asks of the mesh, and the frames of a series."""
     case = loaded.case
     if isinstance(mesh, GridLines):

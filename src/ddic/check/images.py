@@ -41,9 +41,9 @@ LEAST_LEFT = 100
 """Pixels that masks have to leave, or half of a mesh of hardly more: a square of two speckles a side. With fewer, half
 of all runs come to no field, for other places of the image match as well."""
 
-LARGEST_PROBE = 1000
-"""Side of the part of the image whose texture is measured, pixels, in the middle of the mesh. A larger value takes
-longer."""
+LARGEST_PROBES = {2: 1000, 3: 100}
+"""Side of the part of the image whose texture is measured, pixels, in the middle of the mesh, by the number of
+dimensions. A larger value takes longer."""
 
 LEAST_COEFFICIENT = 0.3
 """Correlation of a near reference image with the far one below which it does not show what its mapping says: unrelated
@@ -228,8 +228,9 @@ def _refuse_blank(reference: ImageSource, window: Window, find_usable: Callable[
 
 def _shrink(window: Window) -> Window:
     """The middle of a window."""
-    lower = window.lower + np.maximum(np.array(window.sizes) - LARGEST_PROBE, 0) // 2
-    return Window.between(lower, np.minimum(lower + LARGEST_PROBE, window.upper))
+    side = LARGEST_PROBES[len(window.sizes)]
+    lower = window.lower + np.maximum(np.array(window.sizes) - side, 0) // 2
+    return Window.between(lower, np.minimum(lower + side, window.upper))
 
 
 def check_near_mapping(far: Camera, near: Camera) -> None:
@@ -255,8 +256,7 @@ def check_near_mapping(far: Camera, near: Camera) -> None:
 
 def _measure_area_ratio(near: Camera) -> float:
     """Area of a far pixel in the middle of the near image, near pixels; negative where the mapping mirrors."""
-    jacobians = near.setup.mapping.jacobian(near.setup.centre[None])
-    return float(np.linalg.det(jacobians[0]))
+    return float(np.linalg.det(near.setup.mapping.jacobian(near.setup.centre[None])[0]))
 
 
 def _correlate_references(far: Camera, near: Camera, common: Window) -> float:

@@ -172,8 +172,7 @@ def crack(file: Path, frame: int | None, line: int, tip: tuple[float, float] | N
     with failures_as_lines():
         with warnings_as_lines():
             result = read_frame(file, frame)
-        found = find_crack_tip(result, line, tip=tip, poisson_ratio=poisson_ratio, plane=plane,
-                               ring=Ring(inner, outer))
+        found = find_crack_tip(result, line, tip=tip, poisson_ratio=poisson_ratio, plane=plane, ring=Ring(inner, outer))
     units = result.attributes.get("units", {})
     for name, value in _list_crack_lines(found, shear_modulus, float(units.get("pixel_size", 1.0)),
                               str(units.get("length_unit", "px"))):

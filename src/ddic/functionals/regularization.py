@@ -183,8 +183,7 @@ def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights
     if rotation is not None:
         turn = sparse.kron(sparse.identity(kinematics.mesh.n_nodes), rotation, format="csr")
         of_nodes = (turn @ of_nodes @ turn.T).tocsr()
-    stiffness = kinematics.project_matrix(of_nodes)
-    return scale_rows(stiffness, row_weights)
+    return scale_rows(kinematics.project_matrix(of_nodes), row_weights)
 
 
 def evaluate_plane_waves(nodes: Array, wavelength: float, axes: Array | None = None) -> Array:

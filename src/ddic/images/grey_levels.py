@@ -16,8 +16,9 @@ from ddic.images.window import Window
 CAMERA_BITS = (8, 10, 12, 14)
 """Bits that cameras use of a wider type."""
 
-BAND_PIXELS = 1 << 20
-"""Pixels of a band: more make fewer reads, and take more memory."""
+BAND_PIXELS = {2: 1 << 20, 3: 1 << 23}
+"""Pixels of a band, by the number of dimensions: more make fewer reads, and take more memory. Of volumes chunks of many
+planes are decoded anew for each."""
 
 MOST_LOOKED_AT = 1 << 28
 """Pixels, evenly spread, that are searched for a second grey level: those of any camera, a second of reading. A larger
@@ -178,7 +179,8 @@ def check_noise(source: ImageSource, noise: float) -> None:
     Raises InputError where it is none of NOISES times what the image's levels may span, or do where they are floats.
     """
     span = float(np.ptp(_find_range(source))) if source.saturation is None else source.saturation
-    least, largest = (share * span for share in NOISES)
+    # Of wider integers hardly any picture uses all.
+    least, largest = NOISES[0] * min(span, 65535.0), NOISES[1] * span
     if not least <= noise <= largest:
         raise InputError(f"{source.path}: noise = {noise:g}: grey levels of this image span {span:g}; give the "
                          f"standard deviation of its noise, from {least:.2g} to {largest:.2g}, or leave it out")
@@ -232,7 +234,7 @@ def _bands(source: ImageSource) -> Iterator[Window]:
 
 def _choose_height(window: Window) -> int:
     """Rows, or planes, of a band of about BAND_PIXELS."""
-    return max(1, BAND_PIXELS // math.prod(window.sizes[:-1]))
+    return max(1, BAND_PIXELS[len(window.sizes)] // math.prod(window.sizes[:-1]))
 
 
 def _squared_gradient(band: Array) -> Array:

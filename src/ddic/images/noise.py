@@ -1,5 +1,6 @@
 """Noise of two images of one scene at rest, and how interpolation by a spline weakens and correlates it."""
 
+from collections.abc import Iterator
 from functools import cache
 from math import comb, factorial
 
@@ -14,6 +15,9 @@ BLOCKS = {2: 32, 3: 10}
 """Side, pixels, of the blocks of which each has its own light and motion, by the number of dimensions; a larger value
 lets more of a drift through, a smaller one leaves fewer pixels to each block's four or five numbers."""
 
+PART_PIXELS = 1 << 20
+"""Pixels, about, that are fitted together; each takes 216 bytes meanwhile."""
+
 
 def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window) -> float:
     """Estimate the noise of either image, both of one size, from their difference: its standard deviation, grey levels.
@@ -23,13 +27,23 @@ def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window)
     """
     side = BLOCKS[len(window.sizes)]
     whole = Window.between(window.lower, np.array(window.upper) - np.array(window.sizes) % side)
-    variances = [_fit_row(first, second, rows) for rows in whole.split_rows(side)] if whole.n_pixels else []
+    variances = [_fit_part(first, second, part) for row in whole.split_rows(side) if whole.n_pixels
+                 for part in _split_row(row)]
     found = np.concatenate([np.zeros(0), *variances])
     return float(np.sqrt(np.median(found))) if len(found) else float("nan")
 
 
-def _fit_row(first: ImageSource, second: ImageSource, window: Window) -> Array:
-    """Noise variances of a row, or plane, of whole blocks, (n_blocks,), grey levels squared."""
+def _split_row(row: Window) -> Iterator[Window]:
+    """Split a row, or plane, of whole blocks along its last axis but one."""
+    *_, length, side = row.sizes
+    step = side * max(1, PART_PIXELS * length // (row.n_pixels * side))
+    for begin in range(row.lower[-2], row.upper[-2], step):
+        yield Window((*row.lower[:-2], begin, row.lower[-1]),
+                     (*row.upper[:-2], min(begin + step, row.upper[-2]), row.upper[-1]))
+
+
+def _fit_part(first: ImageSource, second: ImageSource, window: Window) -> Array:
+    """Noise variances of whole blocks beside each other, (n_blocks,), grey levels squared."""
     f = first.read(window).astype(np.float64)
     change = second.read(window) - f
     columns = (np.ones_like(f), f, *np.gradient(f))
@@ -43,7 +57,7 @@ def _fit_row(first: ImageSource, second: ImageSource, window: Window) -> Array:
 
 
 def _split(image: Array) -> Array:
-    """Pixels of each block of a row or plane, (n_blocks, n_pixels)."""
+    """Pixels of each block, (n_blocks, n_pixels)."""
     side, dim = BLOCKS[image.ndim], image.ndim
     # Blocks, and pixels in them, along each axis in turn.
     parted = image.reshape([n for size in image.shape for n in (size // side, side)])

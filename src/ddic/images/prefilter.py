@@ -55,8 +55,7 @@ def write_row_slopes(block: Array, first: int, degree: int, out: NDArray[np.floa
     Only rows are filtered for that: along columns, values at pixel centres would undo it. The block of grey levels is
     overwritten.
     """
-    _row_slopes(block, first, POLES[degree], TERMS[degree], SLOPE_TAPS[degree], out,
-                np.empty((block.shape[1], TURNED)))
+    _row_slopes(block, first, POLES[degree], TERMS[degree], SLOPE_TAPS[degree], out, np.empty((block.shape[1], TURNED)))
 
 
 def write_column_slopes(coefficients: Array, first: int, degree: int, out: NDArray[np.float32]) -> None:

@@ -149,8 +149,7 @@ def without_neighbours(usable: NDArray[np.uint8], before: int, after: int) -> ND
     return _without_planes(in_planes, in_planes, before, after)
 
 
-def _without_planes(usable: NDArray[np.uint8], others: NDArray[np.uint8], before: int,
-                    after: int) -> NDArray[np.uint8]:
+def _without_planes(usable: NDArray[np.uint8], others: NDArray[np.uint8], before: int, after: int) -> NDArray[np.uint8]:
     """Leave out the voxels at whose place one is left out in a plane before or after."""
     found = usable.copy()
     for step in range(1, before + 1):

@@ -76,8 +76,7 @@ def read_reference(source: MaskedSource, window: Window, degree: int, threads: T
     window = _sizeable(window, source.extent)
     if len(window.sizes) == 3:
         return read_values(source.image, window, source.find_usable, excludes_taps=source.excludes_taps)
-    return read_gradient(source.image, window, degree, source.find_usable, threads,
-                         excludes_taps=source.excludes_taps)
+    return read_gradient(source.image, window, degree, source.find_usable, threads, excludes_taps=source.excludes_taps)
 
 
 @dataclass

@@ -192,8 +192,7 @@ def _check_stack(path: Path, tiff: Any, pages: Sequence[Any]) -> None:
     unlike = next((number for number, other in enumerate(others, start=2) if other != first), None)
     if unlike is not None:
         raise InputError(f"{path}: page {unlike} has another size or type than the first; keep one volume in the file")
-    axes = next((series.axes for series in tiff.series if len(series.shape) > 3 and "S" not in series.axes),
-                None)
+    axes = next((series.axes for series in tiff.series if len(series.shape) > 3 and "S" not in series.axes), None)
     if axes is not None:
         raise InputError(f"{path}: a stack of axes {axes}; save one channel and one time alone, of axes ZYX")
     said = tiff.imagej_metadata or {}

@@ -256,8 +256,7 @@ def _measure_sizes(result: Result) -> Array:
     if not len(displacement):
         return np.full((4, dim), np.nan)
     strains = [_average(result.mesh, result.point_data[name]) for name in schema.NODAL_PRINCIPAL[:dim]]
-    return np.array([displacement.min(axis=0), displacement.max(axis=0), displacement.mean(axis=0),
-                     strains])
+    return np.array([displacement.min(axis=0), displacement.max(axis=0), displacement.mean(axis=0), strains])
 
 
 def _average(mesh: Mesh, values: Array) -> float:

@@ -315,8 +315,7 @@ class _GrowingRows:
             if name not in self.starts and self._n_steps:
                 self.add(name, _make_unknown(values, n_rows), described[name], stays=False)
                 self.starts[name] = [0] * self._n_steps
-            stays = name in self._last and np.array_equal(values, self._last[name],
-                                                          equal_nan=values.dtype.kind == "f")
+            stays = name in self._last and np.array_equal(values, self._last[name], equal_nan=values.dtype.kind == "f")
             self.add(name, values, described.get(name), stays=stays)
         self._n_steps += 1
 

@@ -95,8 +95,7 @@ def compute_infinitesimal(gradients: Array) -> Array:
 
 def compute_green_lagrange(gradients: Array) -> Array:
     """Compute (grad u + grad u^T + grad u^T grad u) / 2, (n, n_components), of du_c / dx_j, (n, dim, dim)."""
-    return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1)
-                                   + gradients.transpose(0, 2, 1) @ gradients))
+    return _pick_components(0.5 * (gradients + gradients.transpose(0, 2, 1) + gradients.transpose(0, 2, 1) @ gradients))
 
 
 def compute_hencky(green_lagrange: Array) -> Array:

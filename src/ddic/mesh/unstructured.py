@@ -64,6 +64,9 @@ def build_unstructured_mesh(region: RegionLike, element_size: float, cell: Liter
     box: Any = region if outline is None else outline.box
     refuse_impossible(box, element_size, cell, NAME)
     if outline is None:
+        if len(box) != 4:
+            raise InputError(f"{NAME}.region: a plane one, (x0, y0, x1, y1), is meshed; mesh a box of a volume by "
+                             "structured_mesh, or read a file of Tet4 or Hex8")
         outline = Polygon.from_box(box)
     holes = convert_holes(circles, polygons, NAME)
     require_inside(holes, outline, element_size / 4, NAME)

@@ -79,8 +79,7 @@ def solve_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, listen
         followed = model if model.follows else model.with_large_gradients(found.q)
         model, renewed = problem.fit(_use(followed, seen, solved.field.q), found.q)
         note_all(listener, renewed)
-        solved = SolvedFrame(solved.field, replace(found, q=solved.field.q), seen, model,
-                             (*solved.notes, *renewed))
+        solved = SolvedFrame(solved.field, replace(found, q=solved.field.q), seen, model, (*solved.notes, *renewed))
         # Later, operators that take turns change how fast a field is found, not which.
         is_renewed = bool(renewed) and looks.number < SETTLED
         if not (is_paused or is_seen_otherwise or is_renewed):

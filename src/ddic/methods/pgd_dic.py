@@ -245,8 +245,7 @@ class SeparatedMeasurement:
         image, columns = self.inputs.cameras[0].reference.image, self.problem.rectangle.along_x.pixels
         patches = [Patch(Window((columns.start, rows.start), (columns.stop, rows.stop)), values)
                    for rows, values in self.residual_rows]
-        write_patches(self.team, writer, ChunkGrid(image.extent), [patch.window for patch in patches],
-                      iter(patches))
+        write_patches(self.team, writer, ChunkGrid(image.extent), [patch.window for patch in patches], iter(patches))
 
     def summarize(self, of_run: dict[str, Any]) -> Summary:
         """Sum it up in numbers for scripts and people, the same on all ranks; collective."""

@@ -191,8 +191,7 @@ def _keep_frame(team: Team, frame: _MeasuredFrame, folder: SeriesFolder, writer:
         _note_failure(team, result, record, folder)
         return None
     measurement = replace(result, inputs=result.inputs.with_frame(record.number - 1))
-    unknowns = {subdomain.index: q
-                for subdomain, q in zip(measurement.subdomains, measurement.unknowns, strict=True)}
+    unknowns = {subdomain.index: q for subdomain, q in zip(measurement.subdomains, measurement.unknowns, strict=True)}
     state = FrameState(record.time, unknowns, measurement.noise, measurement.evidence.shown_share,
                        measurement.excluded.has_held_off(team))
     content = _pack_frame(measurement, record, state)

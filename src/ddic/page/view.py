@@ -269,8 +269,7 @@ class _ViewPage:
         # Curves have all of the width: beside the controls they would push these off a narrow screen.
         below = row(self.readings.profile, self.readings.curves, self.convergence, styles={"flex-wrap": "wrap"},
                     width_policy="max")
-        return column(self.told, row(column(panes, self.values, self.readings.table), right), below,
-                      width_policy="max")
+        return column(self.told, row(column(panes, self.values, self.readings.table), right), below, width_policy="max")
 
     # What the controls say.
 

@@ -22,8 +22,7 @@ from ddic.parallel.team import Team, require_held
 
 _SYSTEM = Path("/proc/meminfo")
 _OF_PROCESS = Path("/proc/self/statm")
-_GROUPS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current"),
-           Path("/sys/fs/cgroup/memory.stat"))
+_GROUPS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current"), Path("/sys/fs/cgroup/memory.stat"))
 """Limit, use and use by kind of the control group in which a container, or a job of a batch system, runs."""
 
 

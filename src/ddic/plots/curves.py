@@ -138,8 +138,7 @@ def draw_corrections(table: Mapping[str, NDArray[Any]]) -> Figure:
     for component, colour in (("x", "tab:blue"), ("y", "tab:orange")):
         sizes.semilogy(number, _positive(table[f"fluctuation_{component}"]), color=colour, marker="o", markersize=3,
                        label=f"of u_{component} without its mean")
-        sizes.semilogy(number, _positive(table[f"relative_{component}"]), "--", color=colour,
-                       label=f"of u_{component}")
+        sizes.semilogy(number, _positive(table[f"relative_{component}"]), "--", color=colour, label=f"of u_{component}")
     if "relative" in table:
         # Files of earlier versions have it by component alone.
         sizes.semilogy(number, _positive(table["relative"]), ":", color="black", label="of both (eta of [PP12])")

@@ -192,8 +192,7 @@ def draw_values(mesh: Mesh, shown: Sequence[Values], image: Below, unit: LengthU
     return figure
 
 
-def _draw_on_slices(shown: Sequence[Values], slices: Slices, unit: LengthUnit,
-                    scales: Sequence[ColourScale]) -> Figure:
+def _draw_on_slices(shown: Sequence[Values], slices: Slices, unit: LengthUnit, scales: Sequence[ColourScale]) -> Figure:
     """The same on slices of a volume."""
     figure, views = make_views(slices, [panel.title for panel in shown], unit)
     grey = slices[0].grey
@@ -340,6 +339,9 @@ def list_sigma_panels(result: Result, component: Component, number: str | None, 
     """
     if number is not None:
         name = f"sigma_e{number}"
+        if name not in result.point_data:
+            raise InputError(f"{result.path}: the noise of strain {number} is not estimated; give one of "
+                             f"{', '.join(schema.list_components(result.mesh.dim))}")
         symbol = rf"$\sigma(\varepsilon_{{{number}}})$"
         return [Values(f"Standard deviation {symbol}", f"{symbol} [-]", result.point_data[name])]
     axes = schema.AXES[:result.mesh.dim] if component == "magnitude" else component

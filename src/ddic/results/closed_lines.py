@@ -55,8 +55,7 @@ def _find_jumps(subdomain: Subdomain, lines: Sequence[Array], number: int) -> _J
     parts = np.zeros(0, np.int64) if mesh.parts is None else mesh.parts.cells
     nodes = pad_cells(mesh)[parts]
     # Both parts of a cell have nodes at the same places, in the same order.
-    middles, whole, n_parts = np.unique(mesh.nodes[nodes].mean(axis=1), axis=0, return_inverse=True,
-                                        return_counts=True)
+    middles, whole, n_parts = np.unique(mesh.nodes[nodes].mean(axis=1), axis=0, return_inverse=True, return_counts=True)
     nearest = np.argmin([measure_distance(middles, line) for line in lines], axis=0)
     order = np.argsort(whole, kind="stable")
     pairs = order[((n_parts == 2) & (nearest == number))[whole[order]]].reshape(-1, 2)

@@ -128,8 +128,7 @@ def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, e
     along = gather_deviations(team, openings, [of.opening for of in deviations]) if lines else {}
     rms = _measure_rms(team, subdomains, deviations)
     at_nodes = None if bias is None else _displace(team, subdomains, bias, unmeasured)
-    return FieldUncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces,
-                            along)
+    return FieldUncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces, along)
 
 
 def describe_uncertainty(uncertainty: FieldUncertainty) -> tuple[str, ...]:

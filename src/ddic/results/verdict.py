@@ -38,13 +38,13 @@ LEAST_SHOWN = 0.5
 LARGE = 0.05
 """Share of the cells from which on a piece of the mesh is a part of the specimen, not a corner that was cut off."""
 
-SAME_IMAGE = 1e-6
+SAME_IMAGE = 3e-6
 """Standard deviation of the residual, of the dynamic range, below which both images are one: single precision leaves
-1e-7, and two pictures of which either has 16 bits differ by 6e-6 at least."""
+1e-7, the filter of volumes 1e-6, and two pictures of which either has 16 bits differ by 6e-6 at least."""
 
 REMEDIES = {
-    BLANK: "have no texture: move the region onto the pattern (regions are x0, y0, x1, y1: columns and rows of pixels, "
-           "columns first), or mask what bears none",
+    BLANK: "have no texture: move the region onto the pattern (x, the column, comes before y, the row), or mask what "
+           "bears none",
     SPOILT: "show something else than the reference: look there for what hides the specimen, a reflection, or damage",
     UNSEEN: "hold too few pixels that both images show: the specimen leaves the image there, or something hides it",
     MASKED: "hold no pixel of the reference image that counts, masked or saturated: the field there is a guess; draw "
@@ -69,7 +69,7 @@ class Evidence:
     is_torn : bool
         Whether what shows something else parts the mesh in two.
     residual : float
-        Its standard deviation over the dynamic range.
+        Its standard deviation, beyond what rounding leaves of it, over the dynamic range.
     may_be_saturated : bool
         Whether pixels of the reference image are left out that nobody has masked.
     """

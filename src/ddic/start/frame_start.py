@@ -223,8 +223,7 @@ def _mean_of_copies(pieces: Sequence[_InterfaceField]) -> _InterfaceField:
     all_numbers = np.concatenate([piece.numbers for piece in pieces])
     all_values = np.concatenate([piece.values for piece in pieces])
     all_columns = np.concatenate([piece.columns for piece in pieces])
-    numbers, place, copy_of, counts = np.unique(all_numbers, return_index=True, return_inverse=True,
-                                                return_counts=True)
+    numbers, place, copy_of, counts = np.unique(all_numbers, return_index=True, return_inverse=True, return_counts=True)
     sums = np.bincount(copy_of.reshape(-1), all_values, len(numbers))
     return _InterfaceField(pieces[0].camera, numbers, sums / counts, all_columns[place])
 

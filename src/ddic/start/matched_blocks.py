@@ -240,7 +240,8 @@ class _Volumes:
 
     @cached_property
     def _shape(self) -> tuple[int, ...]:
-        return tuple(scipy.fft.next_fast_len(n, real=True) for n in self.g.shape)
+        # A ball has room in the thinnest volume.
+        return tuple(scipy.fft.next_fast_len(max(n, 2 * int(self.radius) + 1), real=True) for n in self.g.shape)
 
     @cached_property
     def _spectrum_of_g(self) -> NDArray[np.complex64]:

@@ -181,8 +181,7 @@ def _group_end_py(coordinates: tuple[Array, ...], first: int) -> int:
 _group_end = numba.njit(cache=True)(_group_end_py)
 
 
-def _find_near_py(cells: CellBlock, starts: IntArray, speckles: Array, low: Array, high: Array,
-                  near: IntArray) -> int:
+def _find_near_py(cells: CellBlock, starts: IntArray, speckles: Array, low: Array, high: Array, near: IntArray) -> int:
     """Write to ``near`` the numbers of the speckles that reach the box from ``low`` to ``high`` (d,); count them."""
     # Known to the compiler, which a number of columns is not.
     d = len(cells.sizes)

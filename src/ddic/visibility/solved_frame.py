@@ -114,8 +114,7 @@ def _see_frame(problem: WeightedProblem, whole: ResidualModel, q: Field, limits:
     if case.correlation.grey_correction == "auto":
         # Small cells about a tip do not tell their own.
         has_tips = any(line.tip_functions for line in case.discontinuity)
-        chosen = choose_correction(whole.team, sample, typical, whole.correction,
-                                   "global" if has_tips else "element")
+        chosen = choose_correction(whole.team, sample, typical, whole.correction, "global" if has_tips else "element")
     if chosen != whole.correction:
         whole = replace(whole, correction=chosen)
         if chosen == "element":
