@@ -180,7 +180,7 @@ class VolumesSection(ImagingSection):
 
     reference: Path
     """The volume f before loading, read box by box: raw numbers beside a sidecar, TIFF of many pages, a folder of
-    slices, NumPy's .npy, HDF5 or Zarr ([formats](volumes.md#formats))."""
+    slices, NumPy's .npy, HDF5, Zarr, or what ITK reads ([formats](volumes.md#formats))."""
 
     deformed: ImageFiles
     """The volume g after loading, of the same size; or those of a [series](series.md): a list, or a pattern such as
@@ -680,7 +680,8 @@ class StartSection(Section):
 
     features: bool = True
     """After `rigid`, where a translation does not explain the region: match speckles by their looks, which finds any
-    rotation, strains of 40 % and pieces that part."""
+    rotation, strains of 40 % and pieces that part; in volumes balls of blocks, which finds rotations up to 20 degrees
+    and strains of 15 % ([how](volumes.md#large-motions))."""
 
     pyramid: bool = True
     """Solve on coarse-grained images first."""
@@ -706,8 +707,8 @@ class StartSection(Section):
 
     points: Annotated[tuple[Match, ...] | None, note(unit="px", shape="list of [x, y, x', y']")] = None
     """The same from a few points: each in the reference image, then where it is in the deformed one; of volumes six
-    numbers. One says a
-    translation, two a rotation with a scale, three an affine map, more what lies between them."""
+    numbers. One says a translation, two a rotation with a scale, three an affine map (of volumes four that are not in
+    one plane), more what lies between them."""
 
     def _list_contradictions(self) -> Iterator[str]:
         given = [name for name in ("from_result", "from_points", "points") if getattr(self, name) is not None]
