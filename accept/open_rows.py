@@ -72,11 +72,12 @@ OPEN: dict[tuple[str, str], str] = {
         "two levels: 24 to 34 iterations beside 25; 30 modes a subdomain in place of 12 take 21 to 26, and three times "
         "the set-up: a linear step of 216 subdomains takes 169 CPU s in place of 66",
     ("volumes", "kernels"):
-        "on a slow day, as beam_kernels: prefilter 227, Hex8 98, warped 47 and Tet4 53 Mvoxel/s beside 300, 140, 50 "
-        "and 60; Hessians hold",
+        "on slow days, as beam_kernels: prefilter 195 to 227, Hex8 86 to 98, warped 46, Tet4 49 to 53 Mvoxel/s beside "
+        "300, 140, 50 and 60; Hessians hold. Of Hex8 a fifth of the time goes to memory that is not near yet, the rest "
+        "to 600 instructions for 8 voxels, 64 of which load coefficients",
     ("volumes", "long_wavelength"):
-        "on the same slow day 23 CPU s beside 20",
+        "on the same slow days 22 to 24 CPU s beside 20, 52 iterations",
     ("volumes", "peers"):
-        "26 times less than spam beside 50: of 2.7 CPU s the start takes 1.5, reading 0.3, passes over all voxels 0.7",
+        "29 times less than spam beside 50: of 2.6 CPU s the start takes 1.3, reading 0.4, passes over all voxels 0.8",
 }
 """Why, by table and check; the figures themselves are in the ledger."""
