@@ -116,7 +116,7 @@ def test_a_volume_thinner_than_a_ball_is_started(depth: int) -> None:
     # Nothing is known of it beforehand: balls are sought.
     result = ddic.measure((f, g), ddic.structured_mesh((6, 6, 1, 42, 42, depth - 2), 6))
     error = result.displacement - displace(result.mesh.nodes, 48)
-    # Elements of 6 voxels, of waves of 6 to 14: 0.01 to 0.02 px RMS.
+    # Elements of 6 voxels, of waves of 6 to 14, many of whose nodes lie beside a face of the volume: 0.018 to 0.029.
     assert np.sqrt((error**2).mean()) < 0.03
 
 

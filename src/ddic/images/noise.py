@@ -1,8 +1,7 @@
 """Noise of two images of one scene at rest, and how interpolation by a spline weakens and correlates it."""
 
-from collections.abc import Iterator
 from functools import cache
-from math import comb, factorial
+from math import comb, factorial, prod
 
 import numpy as np
 
@@ -27,19 +26,13 @@ def estimate_rest_noise(first: ImageSource, second: ImageSource, window: Window)
     """
     side = BLOCKS[len(window.sizes)]
     whole = Window.between(window.lower, np.array(window.upper) - np.array(window.sizes) % side)
-    variances = [_fit_part(first, second, part) for row in whole.split_rows(side) if whole.n_pixels
-                 for part in _split_row(row)]
-    found = np.concatenate([np.zeros(0), *variances])
-    return float(np.sqrt(np.median(found))) if len(found) else float("nan")
-
-
-def _split_row(row: Window) -> Iterator[Window]:
-    """Split a row, or plane, of whole blocks along its last axis but one."""
-    *_, length, side = row.sizes
-    step = side * max(1, PART_PIXELS * length // (row.n_pixels * side))
-    for begin in range(row.lower[-2], row.upper[-2], step):
-        yield Window((*row.lower[:-2], begin, row.lower[-1]),
-                     (*row.upper[:-2], min(begin + step, row.upper[-2]), row.upper[-1]))
+    if whole.n_pixels == 0:
+        return float("nan")
+    # Rows, or planes, of blocks are cut across the axis before the last.
+    length = side * max(1, PART_PIXELS // (side**2 * prod(whole.sizes[:-2])))
+    variances = [_fit_part(first, second, part) for row in whole.split_rows(side)
+                 for part in row.split_rows(length, axis=-2)]
+    return float(np.sqrt(np.median(np.concatenate(variances))))
 
 
 def _fit_part(first: ImageSource, second: ImageSource, window: Window) -> Array:

@@ -133,18 +133,21 @@ class Window:
         """Tell whether another box lies inside."""
         return all(map(le, self.lower, other.lower)) and all(map(ge, self.upper, other.upper))
 
-    def take_rows(self, begin: int, end: int) -> Window:
-        """Take the rows from ``begin`` to before ``end``: slabs across the last axis."""
-        return Window((*self.lower[:-1], begin), (*self.upper[:-1], end))
+    def take_rows(self, begin: int, end: int, axis: int = -1) -> Window:
+        """Take the rows from ``begin`` to before ``end``: slabs across the last axis, or another one."""
+        lower, upper = list(self.lower), list(self.upper)
+        lower[axis], upper[axis] = begin, end
+        return Window(tuple(lower), tuple(upper))
 
-    def split_rows(self, height: int, step: int | None = None) -> Iterator[Window]:
+    def split_rows(self, height: int, step: int | None = None, axis: int = -1) -> Iterator[Window]:
         """Split into bands of ``height`` rows, the last one maybe lower, from top to bottom.
 
-        Bands begin every ``step`` rows; by default they follow each other without a gap.
+        Bands begin every ``step`` rows; by default they follow each other without a gap. ``axis`` is as for
+        ``take_rows``.
         """
-        end = self.upper[-1]
-        for begin in range(self.lower[-1], end, step or height):
-            yield self.take_rows(begin, min(begin + height, end))
+        end = self.upper[axis]
+        for begin in range(self.lower[axis], end, step or height):
+            yield self.take_rows(begin, min(begin + height, end), axis)
 
 
 def merge_windows(windows: Sequence[Window], halo: int) -> list[tuple[Window, list[int]]]:

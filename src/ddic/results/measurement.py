@@ -14,7 +14,7 @@ from ddic.arrays import Array, BoolArray, IntArray
 from ddic.case.schema import Case
 from ddic.errors import ConvergenceError, DdicError, as_collective, is_collective, list_first, require_collective
 from ddic.functionals.grey_statistics import GreyCorrection
-from ddic.images.volume import STEP
+from ddic.images.volume import measure_rounding
 from ddic.inputs.cameras import Camera, Frame
 from ddic.inputs.inputs import Inputs
 from ddic.io.result_schema import Verdict
@@ -256,7 +256,7 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
     n_cells = problem.reference.region.n_cells
     marked = find_marked_cells(team, subdomains, excluded)
     of_doubtful, n_doubtful = describe_doubtful_cells(team, cell_errors)
-    evidence = _collect_evidence(problem, solved.seen, evaluation, marked, n_doubtful)
+    evidence = _collect_evidence(problem, solved.seen, evaluation, marked, n_doubtful, measure_rounding(frame[0].image))
     notes = (*notes, *solved.notes, *_describe_correction(inputs.case, model),
              *describe_exclusions(team, marked, n_cells, excluded), *of_doubtful, *of_uncertainty)
     measurement = Measurement(inputs, frame, problem.reference.region, model, field.q, field.largest_jump, evaluation,
@@ -272,15 +272,16 @@ def finish_measurement(problem: WeightedProblem, frame: Frame, notes: tuple[str,
 
 
 def _collect_evidence(problem: WeightedProblem, seen: SeenFrame, evaluation: Evaluation,
-                      marked: Sequence[MarkedCells], n_doubtful: int) -> Evidence:
-    """What speaks for or against a field, of which cells are marked and doubtful; collective."""
-    subdomains, inputs = problem.reference.subdomains, problem.reference.inputs
+                      marked: Sequence[MarkedCells], n_doubtful: int, rounding: float) -> Evidence:
+    """What speaks for or against a field, of which cells are marked and doubtful; collective.
+
+    ``rounding`` is what of the residual comes of rounding alone, grey levels.
+    """
+    subdomains = problem.reference.subdomains
     is_torn = any(cells.state == SPOILT for cells in marked) and find_tear(problem.team, subdomains, seen.excluded)
-    # Coefficients of bytes are rounded, which leaves an eighth of a step between voxels of no displacement.
-    is_rounded = inputs.case.dim == 3 and inputs.cameras[0].reference.image.saturation == 255
-    residual = max(evaluation.grey[0].residual_std - is_rounded * STEP / 8, 0.0) / (problem.size.dynamic_range or 1.0)
+    residual = max(evaluation.grey[0].residual_std - rounding, 0.0) / (problem.size.dynamic_range or 1.0)
     return Evidence(problem.reference.region.n_cells, n_doubtful, marked, seen.measure_shown_share(), is_torn, residual,
-                    may_be_saturated=inputs.case.imaging.exclude_saturated)
+                    may_be_saturated=problem.reference.inputs.case.imaging.exclude_saturated)
 
 
 def _estimate_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation, q: Field,

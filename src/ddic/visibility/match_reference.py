@@ -156,7 +156,7 @@ def _choose(team: Team, cells: SeenCells, typical: TypicalCell) -> GreyCorrectio
 def _differ(team: Team, cells: SeenCells, correction: tuple[float, float], typical: TypicalCell) -> bool:
     """Whether the brightness changes otherwise in some cells than in most; collective."""
     noise, (gain, offset) = typical.noise, correction
-    squared = ((cells.mean_f - gain * cells.mean_g - offset)**2 + (cells.spread_f - gain * cells.spread_g)**2)
+    squared = (cells.mean_f - gain * cells.mean_g - offset)**2 + (cells.spread_f - gain * cells.spread_g)**2
     # What is hidden, or not found yet, is not explained by brightness.
     is_explained = cells.variance <= GROSS * noise
     n = cells.n_pixels
