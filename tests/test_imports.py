@@ -64,8 +64,10 @@ def test_command_line_starts_without_the_slow_imports() -> None:
 
 
 def test_a_run_of_a_pair_imports_no_other_recipe() -> None:
-    others = ("ddic.methods.pgd_dic", "ddic.methods.series", "ddic.separated.separated_kernels",
-              "ddic.detection.find_lines", "ddic.detection.lines_of_case", "ddic.results.field_uncertainty")
+    # scipy.ndimage brings scipy.special, together a tenth of a second: images are looked at by cv2, volumes by it.
+    others = ("scipy.ndimage", "scipy.special", "ddic.methods.pgd_dic", "ddic.methods.series",
+              "ddic.separated.separated_kernels", "ddic.detection.find_lines", "ddic.detection.lines_of_case",
+              "ddic.results.field_uncertainty")
     finished = run_python("-c", "import sys, ddic.methods.run, ddic.results.console; "
                                 f"print(*sorted(set({others!r}) & set(sys.modules)))")
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ddic.arrays import Array, BoolArray, IntArray
 from ddic.images.grey_levels import measure_feature_size
@@ -94,7 +94,7 @@ def find_pattern(image: ImageSource) -> Pattern:
     energy = _measure_block_energy(image)
     typical = float(np.percentile(energy, WELL_TEXTURED))
     # Single blocks, bare or not, say nothing of the specimen.
-    has_texture = ndimage.median_filter(energy > HARDLY * typical, size=3, mode="nearest")
+    has_texture = scipy.ndimage.median_filter(energy > HARDLY * typical, size=3, mode="nearest")
     strength = energy / max(typical, 1e-300)
     return Pattern(has_texture, strength, measure_feature_size(image, _choose_places(has_texture)))
 
@@ -102,7 +102,7 @@ def find_pattern(image: ImageSource) -> Pattern:
 def _choose_places(has_texture: BoolArray) -> Array:
     """Places deep in what bears the pattern, (n, dim), pixels: a window that shows an edge would tell that."""
     inside = (slice(1, -1),) * has_texture.ndim
-    depth = ndimage.distance_transform_cdt(np.pad(has_texture, 1), "chessboard")[inside]
+    depth = scipy.ndimage.distance_transform_cdt(np.pad(has_texture, 1), "chessboard")[inside]
     blocks = np.argwhere(has_texture & (depth >= min(LEAST_DEPTH * float(depth.max()), DEEP)))[:, ::-1]
     chosen = np.unique(np.linspace(0, max(len(blocks) - 1, 0), N_WINDOWS).astype(int))
     return BLOCK * (blocks[chosen] + 0.5) if len(blocks) else np.zeros((0, has_texture.ndim))
@@ -128,7 +128,7 @@ def choose_region(pattern: Pattern, image: ImageSource) -> tuple[int, int, int, 
 
     Its sides are whole numbers of the suggested elements. Edges that hardly bear it are cut off, holes stay.
     """
-    labels, n_pieces = ndimage.label(pattern.has_texture)
+    labels, n_pieces = scipy.ndimage.label(pattern.has_texture)
     if not n_pieces:
         rows, columns = slice(0, labels.shape[0]), slice(0, labels.shape[1])
     else:

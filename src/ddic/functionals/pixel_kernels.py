@@ -59,8 +59,9 @@ STAGE = {**FLAGS, "_nrt": False}
 """Of what is called for every cell. Arrays live as long as the kernel, hence nobody need count who holds them: each
 look at a tuple's field would count up and down, atomically, which took half of all time."""
 
-INLINED = {**STAGE, "forceinline": True}
-"""The same, where a call costs: without it, code loaded from the cache was slower than just compiled."""
+INLINED = {**STAGE, "forceinline": True, "cache": False}
+"""The same, where a call costs: without it, code loaded from the cache was slower than just compiled. It is kept with
+the kernels that call it: a cache of its own would open two files at every start."""
 
 N_SUMS = 6
 """Sums over usable pixels of (1, r, g, r^2, g^2, r g) with r = f - g(x + u)."""

@@ -48,8 +48,9 @@ from ddic.vectors import (
 FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
 """Of all kernels; a position that is not a number stays one."""
 
-INLINED = {**FLAGS, "_nrt": False, "forceinline": True}
-"""Of what is called for every row: arrays live as long as the kernel, hence nobody need count who holds them."""
+INLINED = {**FLAGS, "_nrt": False, "forceinline": True, "cache": False}
+"""Of what is called for every row: arrays live as long as the kernel, hence nobody need count who holds them. It is
+kept with the kernels that call it: a cache of its own would open two files at every start."""
 
 DIFFERENCES = tuple(np.float32(weight) for weight in volume.DIFFERENCES)
 """Weights of f(x + k) - f(x - k), k = 1 to 4."""

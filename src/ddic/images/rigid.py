@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -121,9 +122,11 @@ def _find_peak(coefficient: Array) -> RigidShift:
     best = float(coefficient[place])
     # In the middle, where no peak lies across the ends of the array.
     to_middle = tuple(size // 2 - index for index, size in zip(place, shape, strict=True))
-    _, n_pieces = scipy.ndimage.label(np.roll(coefficient > ALIKE * best, to_middle, axis=tuple(range(len(shape)))))
-    n_alike = n_pieces - 1 if best > 0 else 0  # without the piece around the largest
-    return RigidShift(tuple(shifts[::-1]), best, n_alike)
+    alike = np.roll(coefficient > ALIKE * best, to_middle, axis=tuple(range(len(shape))))
+    n_pieces = (cv2.connectedComponents(alike.astype(np.uint8), connectivity=4)[0] - 1 if alike.ndim == 2
+                else scipy.ndimage.label(alike)[1])
+    # Without the piece around the largest.
+    return RigidShift(tuple(shifts[::-1]), best, n_pieces - 1 if best > 0 else 0)
 
 
 def _wrap(index: int, size: int) -> int:

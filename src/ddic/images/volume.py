@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from ddic.arrays import Array
 from ddic.images.source import FILLED, ImageSource, fill_excluded, without_cross, without_neighbours
@@ -98,7 +98,8 @@ def find_slopes(image: GradientImage) -> Array:
     inside = image.window.grow(image.margin).locate(image.window)
     weights = np.concatenate([np.negative(DIFFERENCES[::-1]), [0.0], DIFFERENCES])
     # Arrays have x last.
-    return np.stack([ndimage.correlate1d(image.slopes[0], weights, axis, np.float64)[inside] for axis in (2, 1, 0)])
+    by_axis = (scipy.ndimage.correlate1d(image.slopes[0], weights, axis, np.float64) for axis in (2, 1, 0))
+    return np.stack([slopes[inside] for slopes in by_axis])
 
 
 def _read_box(source: ImageSource, box: Window,

@@ -113,8 +113,7 @@ def _sample(deformed: MaskedSource, places: Array) -> Array:
     """Grey levels of the deformed image at places, and their slopes there along x, y, ..., a block: (1 + dim, n)."""
     values = deformed.read_whole()
     grey = scipy.ndimage.map_coordinates(values, places, order=3, mode="nearest")
-    slopes = [scipy.ndimage.map_coordinates(slope, places, order=1, mode="nearest")
-              for slope in np.gradient(values)[::-1]]
+    slopes = [scipy.ndimage.map_coordinates(by, places, order=1, mode="nearest") for by in np.gradient(values)[::-1]]
     return np.stack([grey, *slopes])
 
 
