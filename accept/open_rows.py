@@ -46,10 +46,6 @@ OPEN: dict[tuple[str, str], str] = {
         "slopes of [PP12, Fig. 4] -1.34 and -1.42, the paper's -1.49 and -1.70: errors of independent pixels fall with "
         "-1, and faster only where elements are as small as the texture's grain, which is not known of the paper; with "
         "a grain of 12 px they are -1.48 and -1.60",
-    ("performance", "speedup"):
-        "on the beam a search for garbage of 70 ms, which ddic does not make and this job does, falls into one kind of "
-        "work on two ranks; without it 1.79 to 1.91, and 1.83 to 1.93 on the whole image: two processor cores of a "
-        "shared machine slow each other down",
     ("right", "beam_kernels"):
         "73 and 74 Mpx/s on a day on which commit 111554a8, which had 104 before, has 74 as well: the processor, not "
         "the code",
