@@ -60,8 +60,7 @@ for case in sys.argv[1:]:
 called = {name: k for name, k in kernels().items() if k.signatures}
 print("called", len(called))
 print("new:", [name for name, k in called.items() if k.signatures != before.get(name)])
-print("not kept:", [name for name, k in called.items()
-                     if k.stats.cache_path is None and not k.targetoptions.get("forceinline")])
+print("not kept:", [name for name, k in called.items() if k.stats.cache_path is None])
 """
 
 
