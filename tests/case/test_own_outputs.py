@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
 
-from ddic.case.own_outputs import MAPPING, OPENINGS, PICTURE, require_own_output
+from ddic.case.loader import load_case
+from ddic.case.own_outputs import MAPPING, OPENINGS, PICTURE, check_output, require_own_output
 from ddic.cli.app import command_line
 from ddic.errors import InputError
 from support.cases import write_case, write_images
@@ -46,6 +48,16 @@ def test_links_to_an_input_are_seen(tmp_path: Path, link: str) -> None:
     require_own_output(tmp_path / "table.csv", OPENINGS)
     with pytest.raises(InputError, match=r"would overwrite the input .*input\.csv"):
         require_own_output(tmp_path / "table.csv", OPENINGS, [None, tmp_path / "absent", tmp_path / "input.csv"])
+
+
+def test_the_folder_that_stands_for_the_file_of_a_case_in_memory_is_no_input(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_images(tmp_path)
+    loaded = load_case(write_case(tmp_path))
+    below = tmp_path / "below"
+    below.mkdir()
+    monkeypatch.chdir(tmp_path)
+    check_output(replace(loaded, path=Path()).with_output(below / "result.vtkhdf"))
 
 
 @pytest.mark.parametrize("device", ["/dev/null", "/dev/full", "pipe"])

@@ -138,7 +138,9 @@ def check_output(loaded: LoadedCase) -> None:
     if case.output.file.suffix == ".json":
         raise InputError(f"output.file: {case.output.file} is the name of the summary that is written beside the "
                          "result; choose another ending, such as .vtkhdf")
-    check_nothing_is_overwritten(case.output.file, case, [loaded.path])
+    # What stands for the file of a case in memory is a folder, which that is no input of.
+    case_file = [loaded.path] if is_readable_file(loaded.path) else []
+    check_nothing_is_overwritten(case.output.file, case, case_file)
 
 
 def check_output_file(file: Path) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddic.arrays import Array, IntArray
-from ddic.functionals.pixel_kernels import N_SUMS, CellSums, PixelKernels, count_step, flatten
+from ddic.functionals.pixel_kernels import FLAGS, INLINED, N_SUMS, CellSums, PixelKernels, count_step, flatten
 from ddic.images import volume
 from ddic.images.spline import PADDING, GradientImage, SplineImage
 from ddic.images.window import Window
@@ -44,13 +44,6 @@ from ddic.vectors import (
     take_first,
     widen,
 )
-
-FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
-"""Of all kernels; a position that is not a number stays one."""
-
-INLINED = {**FLAGS, "_nrt": False, "forceinline": True, "cache": False}
-"""Of what is called for every row: arrays live as long as the kernel, hence nobody need count who holds them. It is
-kept with the kernels that call it: a cache of its own would open two files at every start."""
 
 DIFFERENCES = tuple(np.float32(weight) for weight in volume.DIFFERENCES)
 """Weights of f(x + k) - f(x - k), k = 1 to 4."""

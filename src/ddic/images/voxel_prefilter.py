@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from ddic.images.prefilter import FLAGS
 from ddic.vectors import WIDTH, fill, load, store
 
 POLE = math.sqrt(3.0) - 2.0
@@ -29,10 +30,11 @@ LARGEST_GAIN = 27.0
 ROWS = 40
 """Rows that are filtered together: their planes within TAPS of each other stay in the second-level cache."""
 
-FLAGS = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True, "cache": True}
+INLINED = {**FLAGS, "_nrt": False, "forceinline": True, "cache": False}
+"""Of what is called for every row, and kept with what calls it."""
 
 
-@numba.njit(**FLAGS, _nrt=False, forceinline=True)
+@numba.njit(**INLINED)
 def _filter(values, at, step):
     """Filter along the axis whose next voxel is a step away."""
     sum_ = fill(WEIGHTS[0]) * load(values, at)
@@ -41,7 +43,7 @@ def _filter(values, at, step):
     return sum_
 
 
-@numba.njit(**FLAGS, _nrt=False, forceinline=True)
+@numba.njit(**INLINED)
 def _filter_row(row, values, offset, to, out):
     """Filter a row of grey levels less an offset along x, from a place on of an array."""
     n = len(values)
@@ -53,7 +55,7 @@ def _filter_row(row, values, offset, to, out):
         store(out, to + x, _filter(row, TAPS + x, 1))
 
 
-@numba.njit(**FLAGS, _nrt=False, forceinline=True)
+@numba.njit(**INLINED)
 def _store_row(values, at, step, scale, last, out):
     """Filter a row of numbers along z, and round what comes of it."""
     width = len(out)
