@@ -251,6 +251,13 @@ def test_the_result_may_not_overwrite_an_input(folder: Path, name: str, input_: 
     assert f"would overwrite the input {folder / input_}" in problems[0]
 
 
+@pytest.mark.parametrize("given", ["", "."])
+def test_a_folder_in_place_of_an_image_is_one_problem(folder: Path, given: str) -> None:
+    # Of volumes it may be a folder of slices, into which no result is written.
+    (line,) = _problems(folder, IMAGES.replace("g.tif", given) + GRID)
+    assert "is a folder, no such image file" in line
+
+
 @pytest.mark.parametrize(("start", "is_lost"), [("r.vtkhdf", True), ("link.vtkhdf", True), ("r.earlier.vtkhdf", True),
                                                 ("r.frames/000001.vtkhdf", True),
                                                 ("r.not_converged.vtkhdf", False)])

@@ -8,7 +8,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from ddic.cli.info import info
 from ddic.errors import InputError
 from ddic.io import hdf5_file
 from ddic.io.hdf5_file import open_hdf5, read_array
@@ -48,6 +50,16 @@ def test_a_command_says_so(tmp_path: Path) -> None:
     assert job.code == 2
     assert len(job.errors) == 1
     assert job.errors[0].startswith(f"{path}: damaged")
+
+
+def test_a_command_says_so_of_a_file_that_cannot_be_looked_through(tmp_path: Path) -> None:
+    # What holds the names of a group is damaged: h5py raises a RuntimeError where one is looked for.
+    path = _write(tmp_path / "a.h5", np.arange(5000.0))
+    _overwrite(path, path.read_bytes().index(b"HEAP") + 4, 16)
+    told = CliRunner().invoke(info, [str(path)])
+    assert told.exit_code == 2
+    assert len(told.stderr.splitlines()) == 1
+    assert str(path) in told.stderr
 
 
 @pytest.mark.parametrize("options", [{}, {"chunks": (512,)}, {"chunks": (512,), "compression": "gzip"}])

@@ -254,7 +254,9 @@ def test_a_result_that_is_not_of_one_piece_is_refused_in_a_line(tmp_path: Path, 
     ("history/krylov/0000", lambda old: np.full(len(old), b"word"), "history/krylov/0000: an array of"),
     ("history/krylov/0000", lambda old: 1.0, "history/krylov/0000: an array of float64, shape ()"),
     ("history/gauss_newton/residual_std_grey", lambda old: old[:1], "columns of different lengths"),
-    ("residual_image/residual", lambda old: old[0], "rows of numbers expected")])
+    ("residual_image/residual", lambda old: old[0], "rows of numbers expected"),
+    # That of a volume, where the mesh is plane.
+    ("residual_image/residual", lambda old: old[None], "rows of numbers expected")])
 def test_arrays_of_other_shapes_are_told_when_they_are_read(tmp_path: Path, write_result: Write, place: str,
                                                             damage: Callable[[Any], Any], said: str) -> None:
     # Each was a traceback in plot, info, report, export, or a run that started from it.

@@ -145,6 +145,16 @@ def test_noise_is_that_which_was_measured(folder: Path, tmp_path: Path) -> None:
     assert asked.endswith("all noise; images.at_rest is measured with output.uncertainty = true alone")
 
 
+@pytest.mark.parametrize("size", ["a b", "nan", "200xx200", "-200x200", "2e2x2e2"])
+def test_a_size_that_is_damaged_is_not_recorded(folder: Path, tmp_path: Path, size: str) -> None:
+    result = read_result(folder / "result.vtkhdf")
+    provenance = {**result.attributes["provenance"], "reference_size": size}
+    damaged = replace(result, path=tmp_path / "result.vtkhdf",
+                      attributes={**result.attributes, "provenance": provenance})
+    stated = {name: value for items in list_statements(gather_all(damaged)).values() for name, value in items}
+    assert stated["Field of view"] == NOT_RECORDED
+
+
 def test_the_material_is_stated(folder: Path, tmp_path: Path) -> None:
     assert change(folder, tmp_path)["Material"] == "isotropic, Poisson's ratio 0.3, plane stress"
     of_composite = {"young_ratio": 15.0, "material_angle_degrees": 30.0}

@@ -138,9 +138,8 @@ def check_output(loaded: LoadedCase) -> None:
     if case.output.file.suffix == ".json":
         raise InputError(f"output.file: {case.output.file} is the name of the summary that is written beside the "
                          "result; choose another ending, such as .vtkhdf")
-    # What stands for the file of a case in memory is a folder, which that is no input of.
-    case_file = [loaded.path] if is_readable_file(loaded.path) else []
-    check_nothing_is_overwritten(case.output.file, case, case_file)
+    # What stands for the file of a case in memory is a folder.
+    check_nothing_is_overwritten(case.output.file, case, [path for path in [loaded.path] if is_readable_file(path)])
 
 
 def check_output_file(file: Path) -> None:
@@ -187,9 +186,11 @@ def check_nothing_is_overwritten(result: Path, case: Case, others: Iterable[Path
     n_cameras = 1 + len(case.near)
     replaced = [*_list_company(result, n_cameras), *_list_company(result_schema.earlier_path(result), n_cameras)]
     last_field = _list_company(result_schema.not_converged_path(result), n_cameras)
-    inputs = [*others, *(path for path in list_named_files(case, Path()) if path != start)]
+    # Of folders volumes alone are read.
+    named = [path for path in list_named_files(case, Path()) if case.dim == 3 or not os.path.isdir(path)]
+    inputs = [*others, *(path for path in named if path != start)]
     frames = find_real_path(result_schema.frames_path(result))
-    lost = _find_lost(inputs, [*replaced, *last_field], frames) or _find_lost([start], replaced, frames)
+    lost = _find_lost(inputs, [*replaced, *last_field], frames) or _find_lost({start} & {*named}, replaced, frames)
     if lost is not None:
         raise InputError(f"{key}: {result} would overwrite the input {lost}; choose another name")
 

@@ -268,9 +268,8 @@ class MeshedSection(Section):
         sides = [high - low for low, high in zip(self.box[:dim], self.box[dim:], strict=False)]
         if min(sides) < self.element_size:
             listed = " x ".join(f"{side:g}" for side in sides)
-            corners = ", ".join(f"{axis}{corner}" for corner in (0, 1) for axis in "xyz"[:dim])
             yield (f"region must hold at least one element of element_size: its box is {listed} px; give the lesser "
-                   f"corner first, [{corners}], or smaller elements")
+                   "corner first, [x0, y0, ...], or smaller elements")
 
 
 class StructuredSection(MeshedSection):

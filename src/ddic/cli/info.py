@@ -74,7 +74,8 @@ def _is_result(file: Path) -> bool:
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({os.strerror(error.errno) if error.errno else error}); check its "
                          "permissions") from error
-    with suppress(OSError), h5py.File(file, "r") as opened:
+    # Who reads a damaged file says what is wrong with it.
+    with suppress(OSError, RuntimeError, KeyError), h5py.File(file, "r") as opened:
         return VTKHDF in opened or file.suffix == ".vtkhdf"
     return True
 

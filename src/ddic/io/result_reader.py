@@ -245,7 +245,7 @@ class Result:
     def residual_image(self) -> NDArray[np.float32] | None:
         """The residual image as the image lies, grey levels, read at first use; None if it was not written."""
         with opened_result(self.path) as (_, file):
-            return _read_residual_image(file)
+            return _read_residual_image(file, self.mesh.dim)
 
     @cached_property
     def residual_extent(self) -> Window | None:
@@ -266,7 +266,7 @@ class Result:
             yield self.residual_image
         else:
             with opened_result(self.path) as (_, file):
-                yield _find_residual_image(file)
+                yield _find_residual_image(file, self.mesh.dim)
 
 
 def read_result(path: Path | str) -> Result:
@@ -473,7 +473,7 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     )
     if has_image_at_once:
         # What is computed at first use may also be put in place, whatever the class is frozen for.
-        result.__dict__["residual_image"] = _read_residual_image(rest)
+        result.__dict__["residual_image"] = _read_residual_image(rest, mesh.dim)
     return result
 
 
@@ -502,18 +502,18 @@ def _read_separated(file: Any) -> SeparatedField | None:
     return SeparatedField(along_x, along_y, data["amplitudes"], data["x"], data["y"])
 
 
-def _read_residual_image(file: Any) -> NDArray[np.float32] | None:
+def _read_residual_image(file: Any, dim: int) -> NDArray[np.float32] | None:
     """The first residual image of an open file; None if there is none."""
-    stored = _find_residual_image(file)
+    stored = _find_residual_image(file, dim)
     return None if stored is None else read_array(stored).astype(np.float32, copy=False)
 
 
-def _find_residual_image(file: Any) -> Any:
+def _find_residual_image(file: Any, dim: int) -> Any:
     """The dataset of that image."""
     if schema.RESIDUAL_IMAGE not in file:
         return None
     image = file[schema.RESIDUAL_IMAGE][schema.RESIDUAL]
-    if image.ndim not in (2, 3) or image.dtype.kind != "f" or not image.size:
+    if image.ndim != dim or image.dtype.kind != "f" or not image.size:
         raise ValueError(f"{schema.RESIDUAL}: an array of {image.dtype}, shape {image.shape}; rows of numbers expected")
     return image
 

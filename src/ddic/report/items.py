@@ -194,8 +194,8 @@ def _quote(gathered: Gathered, key: str) -> str:
 
 def _parse_size(gathered: Gathered) -> tuple[int, ...]:
     """Width and height of the images, and depth of volumes, pixels; empty where they are not recorded."""
-    text = str(gathered.get_attribute(schema.PROVENANCE, "reference_size") or "")
-    return tuple(map(int, text.split("x"))) if text else ()
+    sizes = str(gathered.get_attribute(schema.PROVENANCE, "reference_size") or "").split("x")
+    return tuple(map(int, sizes)) if all(size.isdecimal() for size in sizes) else ()
 
 
 def _list_images(gathered: Gathered) -> Items:
