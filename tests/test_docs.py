@@ -40,6 +40,12 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[start]": schema.StartSection,
     "[pgd]": schema.PgdSection,
     "[series]": schema.SeriesSection,
+    "[region]": schema.RegionSection,
+    "[simulation]": schema.SimulationSection,
+    "[simulation.mapping]": schema.MappingSection,
+    "[identification]": schema.IdentificationSection,
+    "[identification.material]": schema.MaterialSection,
+    "[identification.force]": schema.ForceSection,
     "[output]": schema.OutputSection,
     "[acquisition]": schema.AcquisitionSection,
 }

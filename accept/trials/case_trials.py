@@ -210,6 +210,8 @@ BESIDE: Mapping[Keys, Mapping[str, Any]] = {
     ("mesh", "file"): {"mesh": {}},
     **{("mesh", kind, *keys): {"mesh": {kind: {"region": region, "element_size": 16}}}
        for kind in ("structured", "unstructured") for keys, region in REGIONS.items()},
+    **{("region", "shape", *keys[1:]): {"region": [{"name": "left", "shape": shape}]}
+       for keys, shape in REGIONS.items() if keys},
     ("mesh", "mapping"): {"mesh": {"file": "mesh.msh"}},
     ("start", "frame"): {"start": {"from_result": "earlier.series.vtkhdf"}},
     ("near", "ratio"): {"near": [{"reference": "near_reference.tif", "deformed": "near_deformed.tif",

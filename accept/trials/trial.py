@@ -143,6 +143,14 @@ NEAR: dict[str, Any] = {
     "mesh": {"structured": {"region": [8, 8, 88, 88], "element_size": 8}},
     "near": [{"reference": "near_reference.tif", "deformed": "near_deformed.tif", "mapping_file": "mapping.toml"}],
 }
+COMPARED: dict[str, Any] = {**PAIR, "simulation": {"file": "simulated.vtu"}}
+IDENTIFIED: dict[str, Any] = {
+    **PAIR,
+    "images": {**PAIR["images"], "pixel_size": 0.1, "length_unit": "mm"},
+    "region": [{"name": "left", "shape": [LOW, LOW, 48, HIGH]}],
+    "identification": {"material": [{"law": "isotropic"}], "thickness": 2.0,
+                       "force": [{"nodes": "top", "direction": [0, -1], "value": 100.0, "deviation": 1.0}]},
+}
 BOX = [4, 4, 4, 28, 28, 28]
 """Of the mesh in a volume of VOLUME_SIDE voxels a side."""
 
@@ -153,7 +161,7 @@ VOLUME: dict[str, Any] = {
 }
 OF_SECTION: Mapping[str, Mapping[str, Any]] = {
     "regularization": REGULARIZED, "solver": REGULARIZED, "series": SERIES, "pgd": PGD, "discontinuity": CUT,
-    "near": NEAR, "volumes": VOLUME,
+    "near": NEAR, "volumes": VOLUME, "simulation": COMPARED, "identification": IDENTIFIED, "region": IDENTIFIED,
 }
 """The case in which a section's keys are tried; PAIR where a section has none."""
 
@@ -207,6 +215,8 @@ def _write_mesh(folder: Path) -> None:
     tags = [np.zeros(len(quads), int)]
     mesh = meshio.Mesh(points, [("quad", quads)], cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags})
     mesh.write(folder / "mesh.msh", file_format="gmsh22", binary=False)
+    moved = np.tile([1.3, -0.7, 0.0], (len(points), 1))
+    meshio.Mesh(points, [("quad", quads)], {"U": moved}).write(folder / "simulated.vtu")
     (folder / "partition.txt").write_text("# of each cell\n" + "\n".join(str(k // 8) for k in range(16)) + "\n")
     (folder / "points.csv").write_text("x,y,u,v\n20,20,1.3,-0.7\n70,20,1.3,-0.7\n40,70,1.3,-0.7\n")
     (folder / "probes.toml").write_text("[point.A]\nat = [40, 40]\n")

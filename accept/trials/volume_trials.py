@@ -22,7 +22,8 @@ Voxels = NDArray[Any]
 Write = Callable[[Path, Voxels], None]
 """Writes something beside the name that a case gives, from the voxels of the good volume."""
 
-NOT_OF_VOLUMES = ("images", "near", "discontinuity", "pgd", "mesh.unstructured", "odd.csv", "odd.toml", "line ")
+NOT_OF_VOLUMES = ("images", "near", "discontinuity", "pgd", "mesh.unstructured", "region", "simulation",
+                  "identification", "odd.csv", "odd.toml", "line ")
 """Where names of trials begin that have no counterpart."""
 
 FILES = {"reference.tif": "volume_reference.tif", "deformed.tif": "volume_deformed.tif",

@@ -246,6 +246,8 @@ def _described_as(section: tuple[str, ...]) -> tuple[str, ...]:
     """A near field's own mesh is described as the mesh is, what is in a region as in the structured one."""
     if section[:2] == ("near", "mesh"):
         section = section[1:]
+    if section[:2] == ("region", "shape"):
+        return ("mesh", "structured", "region")
     is_in_region = section[:2] == ("mesh", "unstructured") and len(section) > 2
     return ("mesh", "structured", *section[2:]) if is_in_region else section
 
@@ -255,7 +257,7 @@ def _documented_keys(section: tuple[str, ...]) -> str:
     section = _described_as(section)
     name = ".".join(section)
     lists = dict.fromkeys(("circles", "polygons", "masked"), f"`[[{name}]]`")
-    starts = {**lists, "region": f"a section `[{name}]`"}
+    starts = lists if len(section) == 1 else {**lists, "region": f"a section `[{name}]`"}
     ends = {"circles": "\nA polygonal hole", "polygons": "\nA region that"}
     after = DOCUMENT.read_text(encoding="utf-8").partition(starts.get(section[-1], f"\n## [{name}]\n"))[2]
     return after.partition(ends.get(section[-1], "\n## "))[0]

@@ -105,7 +105,7 @@ def test_layout_of_the_file(tmp_path: Path, write_result: Write, pieces: list[Pi
         assert not kind.is_variable_str()
         assert kind.get_cset() == h5py.h5t.CSET_ASCII
         assert list(file["VTKHDF"].attrs["Version"]) == [2, 0]
-        assert file.attrs["ddic_schema"] == "1.10"
+        assert file.attrs["ddic_schema"] == "1.11"
         assert file["VTKHDF/Offsets"].shape == (sum(len(p.types) + 1 for p in pieces),)
         assert file["VTKHDF/PointData/displacement"].attrs["unit"] == "px"
         image = file["residual_image/residual"]

@@ -29,6 +29,8 @@ EXPECTED = {
     "tuple_type": "a list in square brackets",
     "model_type": "a section, [name] with keys below it",
     "literal_error": "{expected}",
+    "string_pattern_mismatch": "a name in one line",
+    "string_too_long": "at most {max_length} characters",
     "greater_than": "more than {gt:g}",
     "greater_than_equal": "at least {ge:g}",
     "less_than": "less than {lt:g}",
@@ -141,7 +143,7 @@ def _shown(value: Any) -> str:
     if isinstance(value, bool):
         text = str(value).lower()
     elif isinstance(value, str):
-        text = f'"{value}"'
+        text = '"' + value.replace("\n", "\\n") + '"'
     elif isinstance(value, Mapping):
         text = "{" + ", ".join(f"{key} = {_shown(item)}" for key, item in value.items()) + "}"
     elif isinstance(value, Sequence):

@@ -125,6 +125,7 @@ def find_matches(pattern: Path) -> list[Path]:
 
 def _list_contradictions(case: Case) -> Iterator[str]:
     """What does not go together in a case with or without a series, a line each."""
+    yield from _list_wrong_forces(case)
     if not is_series(case):
         yield from _list_idle_keys(case)
         return
@@ -145,6 +146,24 @@ def _list_contradictions(case: Case) -> Iterator[str]:
             yield f"{name}.frame_interval and a list in {name}.deformed_time: give one of them"
     elif "deformed_time" in images.model_fields_set:
         yield f"{name}.deformed_time: one time for {n_frames} images; give a list, or {name}.frame_interval"
+    yield from _list_for_one_pair(case)
+    if case.series.incremental != "never":
+        yield from _list_refused_by_updates(case)
+    yield from _list_refused_by_groups(case, n_frames)
+
+
+def _list_wrong_forces(case: Case) -> Iterator[str]:
+    """Forces that are not one for each image."""
+    n_frames = len(list_deformed(case.imaging))
+    for number, force in enumerate(() if case.identification is None else case.identification.force, start=1):
+        n_values = len(force.value) if isinstance(force.value, tuple) else 1
+        if n_values != n_frames:
+            yield (f"identification.force, entry {number}: value: {n_values} for {n_frames} images; give one for each "
+                   f"of {case.imaging_name}.deformed")
+
+
+def _list_for_one_pair(case: Case) -> Iterator[str]:
+    """What is done with one image alone."""
     method = find_method_section(case)
     if method is not None:
         yield f"images.deformed: [{method}] measures one pair at a time; give one image"
@@ -153,9 +172,6 @@ def _list_contradictions(case: Case) -> Iterator[str]:
                "discontinuity.vertices")
     if case.output.independent_fields:
         yield "output.independent_fields: frames of a series start from the one before; leave it out, or give one image"
-    if case.series.incremental != "never":
-        yield from _list_refused_by_updates(case)
-    yield from _list_refused_by_groups(case, n_frames)
 
 
 def _list_refused_by_groups(case: Case, n_frames: int) -> Iterator[str]:

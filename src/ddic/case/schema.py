@@ -53,6 +53,8 @@ Coordinates = Annotated[tuple[Finite, ...], Field(min_length=2, max_length=3), n
 """With a third number in a volume, as in what follows."""
 Box = Annotated[tuple[Finite, ...], Field(min_length=4, max_length=6), note(unit="px", shape="[x0, y0, x1, y1]")]
 Match = Annotated[tuple[Finite, ...], Field(min_length=4, max_length=6)]
+Name = Annotated[str, Field(max_length=80, pattern=r"^.+$")]
+"""In one line."""
 Paths = Annotated[tuple[Path, ...], Field(min_length=1)]
 Times = Annotated[tuple[Finite, ...], Field(min_length=1)]
 ImageFiles = Annotated[
@@ -779,6 +781,137 @@ class SeriesSection(Section):
             yield 'series.groups goes with series.incremental = "never": an update depends on all frames before it'
 
 
+class RegionSection(Section):
+    """A named part of the region, for what is told region by region; pixels."""
+
+    name: Name
+    """What reports call it."""
+
+    shape: Annotated[Shape, note(unit="px", shape="[x0, y0, x1, y1] or section")]
+    """A box, or a polygon or a circle as of a mesh; the cells whose centroid lies in it."""
+
+
+class SimulationSection(Section):
+    """A displacement that a finite element program has computed, with which the field is compared."""
+
+    file: Path
+    """VTU or another format of meshio, PVD, XDMF, Exodus, MED, CalculiX's .frd, or CSV with the columns x, y, u, v
+    ([formats](simulations.md#formats))."""
+
+    step: Annotated[int | None, Field(ge=-1, le=1_000_000_000), note(default="the only one")] = None
+    """Which step of the file, by its number, -1 for the last one; needed where there are several, or `time`."""
+
+    time: Annotated[Finite | None, note(unit="the file's")] = None
+    """Time of the step, in place of its number."""
+
+    field: Annotated[Name | None, note(default="found by its name")] = None
+    """Name of the displacement in the file."""
+
+    mapping: Annotated[MappingSection, note(default="that of `[mesh]`")] = MappingSection()
+    """From the file's units to pixels, as `[mesh.mapping]`, of which it is a copy where it is left out."""
+
+    fit: Literal["nothing", "motion", "placement"] = "motion"
+    """What is fitted to the measured field before they are compared, and stated: nothing; the rigid motion by which the
+    specimen moved with the machine; or also where the simulation lies in the image, a turn and a shift."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        if self.step is not None and self.time is not None:
+            yield "give either simulation.step or simulation.time"
+
+
+class MaterialSection(Section):
+    """An elastic law whose parameters are sought, where it is, and from which values they are sought."""
+
+    region: Name | None = None
+    """Name of the `[[region]]` whose cells are of it; left out: all cells of no other material."""
+
+    law: Literal["isotropic", "orthotropic"] = "isotropic"
+    """Which law."""
+
+    plane: Literal["stress", "strain"] = "stress"
+    """Plane stress or plane strain; an orthotropic law is in plane stress."""
+
+    young: Annotated[Positive | None, note(unit="N / length_unit²", default="1")] = None
+    """Young's modulus; where no force is known it is held, and other moduli are relative to it."""
+
+    poisson_ratio: Annotated[float, Field(gt=-1, allow_inf_nan=False)] = 0.3
+    """Poisson's ratio, of an orthotropic law nu12."""
+
+    young_1: Annotated[Positive | None, note(unit="N / length_unit²", default="1")] = None
+    """Of an orthotropic law: Young's modulus along axis 1."""
+
+    young_2: Annotated[Positive | None, note(unit="N / length_unit²", default="1")] = None
+    """Of an orthotropic law: Young's modulus along axis 2; held where no force is known."""
+
+    shear: Annotated[Positive | None, note(unit="N / length_unit²", default="0.4 young_2")] = None
+    """Of an orthotropic law: shear modulus G12."""
+
+    angle_degrees: Degrees = 0.0
+    """Of an orthotropic law: where axis 1 points, from +x towards +y, clockwise on the screen."""
+
+    fixed: Annotated[tuple[str, ...], note(shape="list of texts")] = ("angle_degrees",)
+    """Parameters of the law that are known, and are not sought."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        of_law = {"isotropic": {"young"}, "orthotropic": {"young_1", "young_2", "shear", "angle_degrees"}}
+        for law, keys in of_law.items():
+            if law != self.law and keys & self.model_fields_set:
+                yield f'identification.material.{min(keys & self.model_fields_set)} goes with law = "{law}"'
+        valid = of_law[self.law] | {"poisson_ratio"}
+        unknown = sorted(set(self.fixed) - valid) if "fixed" in self.model_fields_set else []
+        if unknown:
+            yield (f"identification.material.fixed: {unknown[0]} is no parameter of the {self.law} law; valid here: "
+                   f"{', '.join(sorted(valid))}")
+        if self.law == "orthotropic" and self.plane == "strain":
+            yield 'identification.material.plane = "strain" goes with law = "isotropic"'
+
+
+class ForceSection(Section):
+    """A force that was measured: the resultant of what acts on some nodes."""
+
+    nodes: Name
+    """Node set of the mesh on which it acts, one of `identification.loaded`."""
+
+    direction: Annotated[Point, note(shape="[x, y]")]
+    """Along which it is measured, in the image: [0, -1] points up."""
+
+    value: Annotated[
+        Annotated[Finite, Tag("one")] | Annotated[Times, Tag("several")], OneOrSeveral,
+        note(unit="N", shape="number or list of numbers")]
+    """The force, in the deformed image less in the reference image; of a series a list with one for each image."""
+
+    deviation: Annotated[Positive, note(unit="N")]
+    """Its standard deviation."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        if self.direction == (0.0, 0.0):
+            yield "identification.force.direction = [0, 0]: give a direction"
+
+
+class IdentificationSection(Section):
+    """Elastic parameters that the images and forces tell."""
+
+    material: Annotated[tuple[MaterialSection, ...], Field(min_length=1)]
+    """The laws, one or several, see below."""
+
+    force: tuple[ForceSection, ...] = ()
+    """Forces that were measured, see below; without any, moduli are relative."""
+
+    loaded: Annotated[tuple[str, ...], Field(min_length=1), note(shape="list of texts")] = ("boundary",)
+    """Node sets on which something acts, whose displacement is unknown: clamped and loaded edges, and those where the
+    region ends inside the specimen. All other nodes are in equilibrium. `"boundary"` is the whole boundary."""
+
+    thickness: Annotated[Positive | None, note(unit="length_unit")] = None
+    """Of the specimen; needed where a force is given."""
+
+    def _list_contradictions(self) -> Iterator[str]:
+        if self.force and self.thickness is None:
+            yield "identification.force needs identification.thickness"
+        regions = [material.region for material in self.material]
+        if len(set(regions)) < len(regions):
+            yield "identification.material: two materials have one region; give each its own"
+
+
 class OutputSection(Section):
     """What is written, relative to the case file."""
 
@@ -860,6 +993,9 @@ class Case(Section):
     start: StartSection = StartSection()
     pgd: PgdSection | None = None
     series: SeriesSection = SeriesSection()
+    region: tuple[RegionSection, ...] = ()
+    simulation: SimulationSection | None = None
+    identification: IdentificationSection | None = None
     output: OutputSection = OutputSection()
     acquisition: AcquisitionSection = AcquisitionSection()
 
@@ -913,8 +1049,26 @@ class Case(Section):
                    f"a subdomain each; ask for at least {len(self.near) + 1}")
         if self.pgd is None and self.regularization is not None and self.regularization.operator == "tikhonov":
             yield 'regularization.operator = "tikhonov" goes with [pgd]; use "equilibrium_gap"'
+        yield from self._list_refused_by_simulations()
         if self.pgd is not None:
             yield from self._list_refused_by_pgd()
+
+    def _list_refused_by_simulations(self) -> Iterator[str]:
+        """What a simulation is not compared with."""
+        asked = [name for name, section in (("simulation", self.simulation), ("identification", self.identification))
+                 if section is not None]
+        for what, is_given in {"[[near]]": bool(self.near), "[[discontinuity]]": bool(self.discontinuity),
+                               "[pgd]": self.pgd is not None}.items():
+            yield from (f"[{name}] does not go with {what}; leave one of them out" for name in asked if is_given)
+        if self.identification is None:
+            return
+        if self.volumes is not None:
+            yield "[identification] knows laws of the plane; leave it out beside [volumes]"
+        if self.identification.force and self.imaging.pixel_size is None:
+            yield "identification.force needs images.pixel_size and images.length_unit, for the moduli's unit"
+        known = [region.name for region in self.region]
+        yield from (f'identification.material.region = "{material.region}": no [[region]] has this name'
+                    for material in self.identification.material if material.region not in (None, *known))
 
     def _list_wrong_lengths(self) -> Iterator[str]:
         """Coordinates of the wrong number."""
@@ -923,6 +1077,7 @@ class Case(Section):
             "regularization.boxes": (2 * dim, list(boxes)),
             "solver.blocks": (dim, [self.solver.blocks or ()]),
             "start.points": (2 * dim, list(self.start.points or ())),
+            "region.shape": (2 * dim, [of.shape for of in self.region if not isinstance(of.shape, ShapeSection)]),
         }
         near = [(f"near[{k}].", section, section.mesh) for k, section in enumerate(self.near)]
         for prefix, images, mesh in (("", self.imaging, self.mesh), *near):

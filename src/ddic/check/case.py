@@ -13,7 +13,7 @@ from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.methods import find_method, find_method_section
 from ddic.case.named_files import list_cameras, list_deformed, list_named_files, list_times
 from ddic.case.own_outputs import check_output
-from ddic.case.schema import Case, RegularizationSection, SolverSection
+from ddic.case.schema import Case, IdentificationSection, RegularizationSection, SolverSection
 from ddic.check.images import check_decodable, check_images, check_near_mapping, check_texture
 from ddic.check.pattern import Pattern, find_pattern
 from ddic.errors import InputError, Problems
@@ -28,7 +28,9 @@ from ddic.inputs.mesh_source import (
     build_meshes,
     build_plain_grid,
     check_wavelength_fits,
+    find_cells_in,
     is_plain_grid,
+    read_case_simulation,
 )
 from ddic.io.input_file import FileStamps
 from ddic.io.result_reader import require_known_displacement
@@ -42,7 +44,7 @@ from ddic.mesh.mesh import Mesh
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
-from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_not_controlled_nodes
+from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_named_nodes, find_not_controlled_nodes
 from ddic.partition.split import split_by_blocks, split_grid_by_blocks
 from ddic.partition.ties import Tying
 from ddic.problem.choose_solver import count_given_subdomains
@@ -232,6 +234,9 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     with problems.gathered():
         if case.start.from_result is not None:
             require_known_displacement(read_frame_or_last(case.start.from_result, case.start.frame, "start.frame =")[0])
+    if case.simulation is not None:
+        with problems.gathered(loaded.path):
+            read_case_simulation(case)
     points = _check_start_points(loaded, reference, problems)
     report: CheckReport | None = find_method(case).check(loaded, reference, points, problems)
     with problems.gathered():
@@ -357,12 +362,37 @@ def _check_mesh_uses(loaded: LoadedCase, checked: _CheckedMesh, problems: Proble
             _check_wavelength(section.cut_off_wavelength, measure_cell_size(mesh), mesh.n_nodes - len(edge))
     with problems.gathered(loaded.path):
         check_lines(case, mesh)
+    if case.identification is not None:
+        with problems.gathered(loaded.path):
+            _check_identification(case, case.identification, mesh)
     with problems.gathered():
         if case.solver.partition_file is not None:
             read_partition(case.solver.partition_file, mesh.n_cells)
     with problems.gathered(loaded.path):
         _check_number_of_subdomains(case.solver, mesh.n_cells)
     return not_controlled
+
+
+def _check_identification(case: Case, section: IdentificationSection, mesh: Mesh) -> None:
+    """Refuse, with an InputError, node sets that the mesh has not and materials of no cell."""
+    named = [("loaded", name) for name in section.loaded if name != BOUNDARY]
+    for key, name in [*named, *(("force.nodes", force.nodes) for force in section.force if force.nodes != BOUNDARY)]:
+        try:
+            find_named_nodes(mesh, name)
+        except InputError as error:
+            raise InputError([f"identification.{key}: {problem}" for problem in error.problems]) from error
+    is_free = np.ones(mesh.n_cells, dtype=bool)
+    regions = {region.name: region for region in case.region}
+    for material in section.material:
+        if material.region is not None:
+            cells = find_cells_in(regions[material.region], mesh) & is_free
+            is_free &= ~cells
+            if not cells.any():
+                raise InputError(f'identification.material.region = "{material.region}": holds no cell of its own; '
+                                 "move the region, or leave the material out")
+    if is_free.any() and all(material.region is not None for material in section.material):
+        raise InputError(f"identification.material: {is_free.sum()} cells are of no material; give one without a "
+                         "region")
 
 
 def _check_on_grid(loaded: LoadedCase, reference: ImageSource, points: StartPoints | None,

@@ -36,6 +36,8 @@ COMMANDS = {
     "new": "Write a case file to start from, for a pair of images or a series.",
     "draw": "Draw a case on its image in the browser, and run it.",
     "run": "Measure the displacement between two images.",
+    "compare": "Measure the displacement and compare it with a simulation.",
+    "identify": "Identify the elastic parameters of a material.",
     "check": "Validate all inputs of a case file without solving.",
     "mesh": "Write the mesh of a case file, with its node sets.",
     "synth": "Make image pairs with a known displacement.",
@@ -55,6 +57,7 @@ COMMANDS = {
 HOMES = {"calibrate": "calibrate:calibrate_near", "draw": "page:draw", "view": "page:view",
          "probe": "tables:probe", "export": "tables:export",
          "report": "info:report", "opening": "tables:opening", "crack": "tables:crack",
+         "compare": "material:compare", "identify": "material:identify",
          "uncertainty": "studies:uncertainty", "sweep": "studies:sweep"}
 """Module and function of the commands whose name is not that of both."""
 

@@ -35,6 +35,7 @@ from ddic.kinematics.cell_interpolation import CellInterpolation, interpolate_ce
 from ddic.kinematics.strain import compute_displacement_gradients
 from ddic.mesh.mesh import Mesh, pad_cells
 from ddic.mesh.raster import Raster, rasterize
+from ddic.mesh.refinement import RefinedMesh
 
 PIXEL_KERNELS: dict[str, PixelKernels] = {"bilinear": pixel_kernels.COMPILED, "trilinear": voxel_kernels.COMPILED}
 """What sums over the pixels of cells, by the family of their types."""
@@ -521,6 +522,14 @@ def restrict_to_cells(whole: Correlation, cells: IntArray) -> Correlation:
     """Take some of a subdomain's cells alone, given by number, with the same window of the image."""
     mesh, _ = whole.mesh.create_submesh(cells)
     return _build_correlation(mesh, rasterize(mesh), whole.reference, whole.source, whole.threads)
+
+
+def refine_correlation(whole: Correlation, refined: RefinedMesh) -> Correlation:
+    """Take a subdomain's pixels on its mesh refined, those of the cells alone that passes are confined to."""
+    fine = _build_correlation(refined.mesh, rasterize(refined.mesh), whole.reference, whole.source, whole.threads)
+    is_visited = np.zeros(whole.mesh.n_cells, dtype=bool)
+    is_visited[whole.order] = True
+    return fine.confine(is_visited[refined.parents])
 
 
 def _build_correlation(mesh: Mesh, raster: Raster, image: GradientImage, source: MaskedSource,

@@ -156,6 +156,19 @@ def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:
     return interpolate_cells(mesh).assemble_matrix(integrate_cell_stiffness(mesh, material))
 
 
+def assemble_tensor_stiffness(mesh: Mesh, tensor: Array, cells: BoolArray) -> sparse.csr_matrix:
+    """Assemble the stiffness of some cells, (n_cells,), with s_ik = C_ikjl e_jl, (dim, dim, dim, dim), on (n_dofs,)."""
+    width = mesh.n_monomials * mesh.dim
+    of_cells = np.zeros((mesh.n_cells, width, width))
+    for block in mesh.cell_blocks:
+        quadrature, n = block.type.quadrature, block.type.n_nodes * mesh.dim
+        chosen = replace(block, cells=block.cells[cells[block.cells]], nodes=block.nodes[cells[block.cells]])
+        gradients, det = compute_shape_gradients(mesh, chosen, quadrature.points)
+        products = _integrate_products(gradients, det * quadrature.weights)
+        of_cells[chosen.cells, :n, :n] = np.einsum("ikjl,eakbl->eaibj", tensor, products).reshape(-1, n, n)
+    return interpolate_cells(mesh).assemble_matrix(of_cells)
+
+
 def _integrate_products(gradients: Array, weights: Array) -> Array:
     """Integrals of dN_a/dx_i dN_b/dx_j, (n_cells, a, i, b, j), from gradients and weights at points of the cells."""
     n_cells, n_points, k, dim = gradients.shape

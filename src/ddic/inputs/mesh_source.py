@@ -1,15 +1,16 @@
-"""The mesh that a case asks for, and the cut-off wavelengths that its elements carry."""
+"""The mesh that a case asks for, the cut-off wavelengths that its elements carry, and a simulation's field."""
 
 import math
 
 import numpy as np
 
-from ddic.arrays import Array
+from ddic.arrays import Array, BoolArray
 from ddic.case.schema import (
     Case,
     MappingSection,
     MeshedSection,
     MeshSection,
+    RegionSection,
     ShapeSection,
     StructuredSection,
     UnstructuredSection,
@@ -17,9 +18,10 @@ from ddic.case.schema import (
 from ddic.errors import InputError
 from ddic.images.window import Window
 from ddic.io.mesh_file import read_mesh
+from ddic.io.simulation_file import SimulatedField, read_simulation
 from ddic.io.volume_file import open_mask
 from ddic.mesh.grid import GridLines
-from ddic.mesh.holes import OutlinedHole, RegionLike, find_mask_holes
+from ddic.mesh.holes import OutlinedHole, RegionLike, convert_region, find_mask_holes
 from ddic.mesh.mesh import Mesh, Similarity
 from ddic.mesh.repair import check_inside, check_joints, repair
 from ddic.mesh.structured import build_grid_lines, build_structured_mesh, count_cells
@@ -70,7 +72,8 @@ def is_plain_grid(case: Case) -> bool:
         return False
     if section.circles or section.polygons or section.mask is not None:
         return False
-    return not (case.near or case.discontinuity) and case.solver.partition in ("auto", "blocks")
+    is_whole = bool(case.near or case.discontinuity or case.identification is not None)
+    return not is_whole and case.solver.partition in ("auto", "blocks")
 
 
 def build_plain_grid(case: Case) -> GridLines:
@@ -123,6 +126,23 @@ def _raw_mesh(section: MeshSection, extent: Window) -> Mesh:
 def convert_mapping(section: MappingSection) -> Similarity:
     """Convert a mapping as a case file says it, from mesh units to pixels."""
     return Similarity(section.scale, math.radians(section.rotation_degrees), section.translation, section.y_up)
+
+
+def read_case_simulation(case: Case) -> SimulatedField:
+    """Read the simulation that a case names; raises InputError where it cannot be."""
+    section = require_held(case.simulation)
+    mapping = section.mapping if "mapping" in section.model_fields_set else case.mesh.mapping
+    return read_simulation(section.file, convert_mapping(mapping), case.dim, section.step, section.time, section.field)
+
+
+def find_cells_in(section: RegionSection, mesh: Mesh) -> BoolArray:
+    """Tell which cells, (n_cells,), have their centroid in a region of a case."""
+    region: RegionLike = section.shape.region if isinstance(section.shape, ShapeSection) else section.shape
+    outline, centroids = convert_region(region, f"region, {section.name}"), mesh.centroids
+    if outline is not None:
+        return np.asarray(outline.measure_distance(centroids) < 0)
+    low, high = np.reshape(np.asarray(region, np.float64), (2, -1))
+    return np.asarray(((centroids >= low) & (centroids <= high)).all(axis=1))
 
 
 def _check_pixels(section: MeshedSection, name: str) -> int:

@@ -123,7 +123,7 @@ _LENGTHS = ("pixel_size", "half_amplitude_shear_px", "half_amplitude_longitudina
 _LONGEST = 1e9
 """Beyond which a length is damage: of a pixel in any unit, or of a wave in pixels."""
 
-_LISTS = ("discontinuity", "near")
+_LISTS = ("discontinuity", "near", "region")
 """Sections of a case of which there may be several."""
 
 
@@ -132,8 +132,14 @@ _COLUMNS = {
     schema.CORRECTIONS: ("correction", "residual_std_grey", "gain", "noise_gain", "relative_x", "relative_y",
                          "fluctuation_x", "fluctuation_y"),
     schema.OPENING_DEVIATIONS: ("line", "distance_px", "sigma_tangential_px", "sigma_normal_px"),
+    schema.COMPARED_REGIONS: ("region", "rms_difference_px", "chi_squared", "scatter"),
+    schema.IDENTIFICATION: ("parameter", "value", "deviation", "unit"),
 }
 """What others read of a table, by group."""
+
+_TEXTS = ((schema.PHASES, "phase"), (schema.COMPARED_REGIONS, "region"), (schema.IDENTIFICATION, "parameter"),
+          (schema.IDENTIFICATION, "unit"))
+"""Columns of texts, by group."""
 
 _LARGEST_GREY = 1e100
 """Beyond which a residual is damage: no image has such grey levels."""
@@ -146,7 +152,7 @@ def require_sound_tables(tables: Mapping[str, Arrays]) -> None:
     """
     for group, columns in tables.items():
         for name, values in columns.items():
-            kinds = "OSU" if (group, name) == (schema.PHASES, "phase") else "iuf"
+            kinds = "OSU" if (group, name) in _TEXTS else "iuf"
             if values.ndim != 1 or values.dtype.kind not in kinds:
                 raise ValueError(f"{group}/{name}: an array of {values.dtype}, shape {values.shape}")
             if name.endswith("_grey") and (np.abs(values) > _LARGEST_GREY).any():

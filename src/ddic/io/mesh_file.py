@@ -43,7 +43,7 @@ def read_mesh(path: Path, mapping: Similarity, dim: int) -> Mesh:
     ``dim`` is 2 for plane cells. The mesh is as it is in the file: not yet repaired. Raises InputError where the file
     cannot be read, holds other cells, or is not plane.
     """
-    return convert_mesh(_read_raw(path), str(path), mapping, dim)
+    return convert_mesh(read_raw_mesh(path), str(path), mapping, dim)
 
 
 def convert_mesh(raw: Any, name: str, mapping: Similarity, dim: int) -> Mesh:
@@ -59,7 +59,7 @@ def convert_mesh(raw: Any, name: str, mapping: Similarity, dim: int) -> Mesh:
     return build_mesh(mapping.to_pixels(points), blocks, _node_sets(raw, naming), mapping)
 
 
-def _read_raw(path: Path) -> Any:
+def read_raw_mesh(path: Path) -> Any:
     """The mesh as meshio gives it."""
     import meshio
 

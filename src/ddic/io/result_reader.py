@@ -68,6 +68,10 @@ class Result:
         Why the field is no result: the last one of a measurement that did not converge. Empty where it converged.
     verdict : Verdict or None
         Whether it can be trusted, and why not; None in files before schema 1.8.
+    compared_regions : dict of (n,) arrays
+        Columns of the table of a comparison with a simulation, a row a region; empty where there is none.
+    identified : dict of (n,) arrays
+        Columns of the table of a material's parameters; empty where none were sought.
     opening_deviations : dict of (n,) arrays
         Columns of the table of standard deviations of openings along the lines; empty where there are none.
     """
@@ -89,6 +93,8 @@ class Result:
     phases: Arrays = field(default_factory=dict)
     verdict: schema.Verdict | None = None
     opening_deviations: Arrays = field(default_factory=dict)
+    compared_regions: Arrays = field(default_factory=dict)
+    identified: Arrays = field(default_factory=dict)
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -449,8 +455,9 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     if known:
         attributes[schema.CASE] = {**attributes.get(schema.CASE, {}), **known}
     damage.require_sound_attributes(attributes)
-    tables = {group: _arrays(rest, group) for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS,
-                                                        schema.PHASES, schema.OPENING_DEVIATIONS)}
+    tables = {group: _arrays(rest, group)
+              for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS, schema.PHASES,
+                            schema.OPENING_DEVIATIONS, schema.COMPARED_REGIONS, schema.IDENTIFICATION)}
     damage.require_sound_tables(tables)
     result = Result(
         path=path,
@@ -470,6 +477,8 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
         phases=tables[schema.PHASES],
         verdict=_read_verdict(rest),
         opening_deviations=tables[schema.OPENING_DEVIATIONS],
+        compared_regions=tables[schema.COMPARED_REGIONS],
+        identified=tables[schema.IDENTIFICATION],
     )
     if has_image_at_once:
         # What is computed at first use may also be put in place, whatever the class is frozen for.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-SCHEMA_VERSION = "1.10"
+SCHEMA_VERSION = "1.11"
 VERSION, Y_AXIS = OF_FORMAT = "ddic_schema", "y_axis"
 VTKHDF_VERSION = (2, 0)
 
@@ -43,7 +43,9 @@ NEAR_PREFIX = "near_"
 SERIES, STEPS, FRAMES = "series", "VTKHDF/Steps", "frames"
 UNCERTAINTY = "uncertainty"
 OPENING_DEVIATIONS = "uncertainty/opening"
-ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS, UNCERTAINTY)
+COMPARISON, COMPARED_REGIONS = "comparison", "comparison/regions"
+IDENTIFICATION = "identification"
+ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS, UNCERTAINTY, COMPARISON)
 
 DISPLACEMENT = "displacement"
 DISPLACEMENT_MESH_UNITS = "displacement_mesh_units"
@@ -69,6 +71,8 @@ EXCLUDED = "excluded"
 SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v", "sigma_w")
 """Names by axis, of which a field in the plane has the first two; so have the principal strains above."""
 REGULARIZATION_BIAS = "regularization_bias"
+SIMULATED, SIMULATION_DIFFERENCE = "simulated_displacement", "simulation_difference"
+NORMALISED_DIFFERENCE = "normalised_difference"
 
 EXCLUDED_STATES = (1, 2, 3, 5)
 """Values of the field ``excluded`` of cells none of whose pixels counts; 4 marks one that is used though mechanics hold
@@ -220,6 +224,16 @@ def uncertainty_point_fields(dim: int = 2, *, regularized: bool) -> tuple[FieldS
                                "estimated displacement less the true one, as far as regularization is the reason"))
 
 
+def list_comparison_fields() -> tuple[FieldSpec, ...]:
+    """List what a comparison with a simulation has at the nodes, in the order of the file."""
+    return (
+        FieldSpec(SIMULATED, VECTOR, np.float64, "px", "displacement of a simulation, levelled: as these images, this "
+                  "mesh and this regularization would show it"),
+        FieldSpec(SIMULATION_DIFFERENCE, VECTOR, np.float64, "px", "measured displacement less that of the simulation"),
+        FieldSpec(NORMALISED_DIFFERENCE, VECTOR, np.float64, "1", "the same over its standard deviation"),
+    )
+
+
 def uncertainty_cell_fields(dim: int = 2) -> tuple[FieldSpec, ...]:
     """List what is known of the errors on the cells, where the case asks for it, in the order of the file."""
     return tuple(FieldSpec(name, 1, np.float64, "1", "standard deviation that the images' noise leaves in the "
@@ -230,7 +244,7 @@ def uncertainty_cell_fields(dim: int = 2) -> tuple[FieldSpec, ...]:
 def list_all_fields() -> tuple[FieldSpec, ...]:
     """List all fields that a result may have, at the nodes and on the cells: in space, which has all of a plane's."""
     return (*point_fields("px", independent=True), *nodal_strain_fields(3), *cell_fields(2),
-            *uncertainty_point_fields(3, regularized=True), *uncertainty_cell_fields(3))
+            *uncertainty_point_fields(3, regularized=True), *list_comparison_fields(), *uncertainty_cell_fields(3))
 
 
 def begin_file(file: Any, *, flipped: bool) -> None:

@@ -62,7 +62,7 @@ def run_case(team: Team, path: Path, listener: Listener) -> Summary:
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
     if loaded.is_series:
         raise as_collective(InputError(f"{path}: images.deformed: names a series, one image is expected here"))
-    with _claimed_output(team, loaded.case.output.file):
+    with claimed_output(team, loaded.case.output.file):
         return run_pair(team, loaded, listener)
 
 
@@ -76,7 +76,7 @@ def run_file(team: Team, path: Path, listener: Listener, *, resume: bool = False
     if resume and not loaded.is_series:
         raise as_collective(InputError(f"--resume: {path} has one deformed image, no series to go on with; leave "
                                        "--resume out"))
-    with _claimed_output(team, loaded.case.output.file):
+    with claimed_output(team, loaded.case.output.file):
         if loaded.is_series:
             from ddic.methods.series import run_series
 
@@ -178,7 +178,7 @@ def _list_images(measurement: Publishable) -> dict[str, str]:
 
 
 @contextmanager
-def _claimed_output(team: Team, file: Path) -> Iterator[None]:
+def claimed_output(team: Team, file: Path) -> Iterator[None]:
     """Keep others from a result's name during the block; collective, raises InputError on all ranks if a run has it."""
     with ExitStack() as stack:
         team.build_on_root(lambda: stack.enter_context(held_output(file)))

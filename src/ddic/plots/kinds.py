@@ -3,16 +3,16 @@
 from typing import Literal
 
 CURVES = "curves"
-KINDS = ("partition", "deformed", "displacement", "strain", "sigma", "bias", "residual", "signed-residual",
-         "histogram", "independent", "difference", "krylov", "opening", "detection", "near-far", "modes", "corrections",
-         "line")
+KINDS = ("partition", "deformed", "displacement", "strain", "sigma", "bias", "simulation", "residual",
+         "signed-residual", "histogram", "independent", "difference", "krylov", "opening", "detection", "near-far",
+         "modes", "corrections", "line")
 ONLY_ASKED_FOR = ("displacement", "signed-residual", "histogram", "line")
 """Kinds that show again, in another form or along a line, what others of ``all`` show."""
 
-OVER_IMAGE = ("partition", "displacement", "strain", "sigma", "bias")
-WITH_COMPONENT = ("deformed", "independent", "displacement", "sigma", "bias", "difference", "near-far")
-WITH_LIMITS = ("deformed", "independent", "displacement", "strain", "sigma", "bias", "residual", "signed-residual",
-               "difference", "detection")
+OVER_IMAGE = ("partition", "displacement", "strain", "sigma", "bias", "simulation")
+WITH_COMPONENT = ("deformed", "independent", "displacement", "sigma", "bias", "simulation", "difference", "near-far")
+WITH_LIMITS = ("deformed", "independent", "displacement", "strain", "sigma", "bias", "simulation", "residual",
+               "signed-residual", "difference", "detection")
 ON_SLICES = (*OVER_IMAGE, "residual", "signed-residual", "difference")
 """Kinds that show slices of a volume."""
 

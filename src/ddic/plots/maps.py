@@ -360,6 +360,13 @@ def list_bias_panels(result: Result, component: Component, unit: LengthUnit) -> 
     return [Values(f"Bias of the regularization {symbol}", f"{symbol} [{unit.name}]", values)]
 
 
+def list_simulation_panels(result: Result, component: Component) -> list[Values]:
+    """List the one panel of how far a simulation is from the measured displacement, in standard deviations."""
+    symbol = canvas.format_component(r"\Delta u / \sigma", component)
+    values = canvas.pick_component(result.fields[schema.NORMALISED_DIFFERENCE], component)
+    return [Values(f"Measured minus simulated, in standard deviations {symbol}", f"{symbol} [-]", values)]
+
+
 VISIBLE_SHARE = 0.05
 """Largest displacement that is drawn, relative to the mesh, where cells bear it; a larger value exaggerates more."""
 

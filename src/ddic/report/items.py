@@ -274,7 +274,34 @@ def list_statements(gathered: Gathered) -> dict[str, Items]:
         "Regularisation": _list_regularization(gathered),
         "Convergence": _list_convergence(gathered),
         "Resolution and noise floors": _list_metrology(gathered),
+        **_list_material(gathered),
     }
+
+
+def _list_material(gathered: Gathered) -> dict[str, Items]:
+    """List what a simulation and the material's parameters came to, under a heading where there is any."""
+    result = gathered.result
+    stated: Items = []
+    origin = result.attributes.get(schema.COMPARISON, {})
+    if origin:
+        stated.append(("Simulation", f"{origin['file']}, step {origin['step']}, {origin['placement']}"))
+    of_regions = result.compared_regions
+    for name, chi, scatter, rms in zip(*(of_regions.get(key, ()) for key in (
+            "region", "chi_squared", "scatter", "rms_difference_px")), strict=True):
+        stated.append((f"chi^2, {_as_text(name)}", f"{chi:.3g} (1 +- {scatter:.2g} by noise alone), RMS difference "
+                                                   f"{rms:.3g} px, the simulation levelled"))
+    found = result.identified
+    for name, value, deviation, unit, by_fields in zip(*(found.get(key, ()) for key in (
+            "parameter", "value", "deviation", "unit", "by_fields")), strict=True):
+        of_unit = "" if _as_text(unit) == "1" else f" {_as_text(unit)}"
+        stated.append((f"Identified {_as_text(name)}", f"{value:.5g} +- {deviation:.2g}{of_unit} "
+                                                       f"(FEMU {by_fields:.5g})"))
+    return {"Simulation and material": stated} if stated else {}
+
+
+def _as_text(value: Any) -> str:
+    """A text of a table as HDF5 gives it."""
+    return value.decode() if isinstance(value, bytes) else str(value)
 
 
 def _list_formulation(gathered: Gathered) -> Items:

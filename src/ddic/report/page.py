@@ -18,7 +18,7 @@ from ddic.io.replace_on_exit import replaced_on_exit
 from ddic.io.result_reader import Result
 from ddic.io.series_reader import gather_history, is_series_file, read_series
 from ddic.plots import curves, maps
-from ddic.plots.canvas import draw_failures, draw_marks, find_length_unit, list_image_axes
+from ddic.plots.canvas import OF_VALUES, draw_failures, draw_marks, find_length_unit, list_image_axes
 from ddic.plots.kinds import COMPONENTS
 from ddic.plots.series import draw_time_curves
 from ddic.plots.slices import Below, Slices, choose_slices, list_grey_levels
@@ -79,6 +79,10 @@ def _draw_fields(gathered: items.Gathered, image: Below) -> list[Drawn]:
             choice = maps.StrainChoice("infinitesimal", number, by_cell)
             drawn.append((f"strain {number}", f"Infinitesimal strain {number} {where}, {over}.",
                           maps.draw_strain(result, choice, image, unit)))
+    if schema.NORMALISED_DIFFERENCE in result.point_data:
+        panels = maps.list_simulation_panels(result, "magnitude")
+        drawn.append(("simulation", "Measured displacement less the simulated one, levelled, in standard deviations.",
+                      maps.draw_values(result.mesh, panels, image, unit, [OF_VALUES])))
     if dim == 3:
         return drawn
     caption = "The deformed mesh without its rigid motion, amplified as the title says, over the mesh at rest."

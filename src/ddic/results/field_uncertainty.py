@@ -1,6 +1,6 @@
 """Standard deviations that noise of the images leaves in a field, and what regularization takes from it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -100,13 +100,18 @@ class FieldUncertainty:
     opening_deviations: Mapping[str, Array] = field(default_factory=dict)
 
 
+Watch = Callable[[list[Array]], None]
+"""Is told, collectively, what a sample of the noise does to the nodes of owned subdomains, (n_nodes, dim), pixels."""
+
+
 def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, evaluation: Evaluation,
-                               q: Field, unmeasured: Sequence[BoolArray]) -> FieldUncertainty:
+                               q: Field, unmeasured: Sequence[BoolArray],
+                               watch: Watch = lambda displacements: None) -> FieldUncertainty:
     """Estimate what noise and regularization do to a measured field; collective.
 
     ``problem`` has the operators that found the field, ``model`` the pixels that count. ``unmeasured`` are the nodes of
-    each owned subdomain that nothing holds: they have nan. Raises ConvergenceError on all ranks where a linear step
-    does not converge.
+    each owned subdomain that nothing holds: they have nan. ``watch`` is told of every sample. Raises ConvergenceError
+    on all ranks where a linear step does not converge.
     """
     team, subdomains, step = problem.team, problem.reference.subdomains, problem.solver.step
     case, is_regularized = problem.reference.inputs.case, problem.solver.assembly.eta > 0
@@ -124,10 +129,10 @@ def estimate_field_uncertainty(problem: WeightedProblem, model: ResidualModel, e
     scale = float(np.sqrt(problem.solver.assembly.mean_diagonal)) / max(noise.sigma[0], TINY)
     lines = list_discontinuities(case).lines
     openings = team.together(lambda: [find_openings(subdomain, lines) for subdomain in subdomains])
-    deviations = estimate_deviations(team, subdomains, step, forces, scale, unmeasured, openings)
+    deviations = estimate_deviations(team, subdomains, step, forces, scale, unmeasured, openings, watch)
     along = gather_deviations(team, openings, [of.opening for of in deviations]) if lines else {}
     rms = _measure_rms(team, subdomains, deviations)
-    at_nodes = None if bias is None else _displace(team, subdomains, bias, unmeasured)
+    at_nodes = None if bias is None else find_node_displacements(team, subdomains, bias, unmeasured)
     return FieldUncertainty(noise, rms, forces.n_samples, forces.transfer, deviations, at_nodes, of_forces, along)
 
 
@@ -200,7 +205,8 @@ def find_openings(subdomain: Subdomain, lines: Sequence[Array]) -> SubdomainOpen
 
 def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: LinearStep, forces: NoiseForces,
                         scale: float, unmeasured: Sequence[BoolArray],
-                        openings: Sequence[SubdomainOpenings]) -> list[FieldDeviations]:
+                        openings: Sequence[SubdomainOpenings],
+                        watch: Watch = lambda displacements: None) -> list[FieldDeviations]:
     """Estimate the square roots of the diagonal of A^-1 cov(b) A^-1, and of strains and openings; collective.
 
     Each right-hand side takes a linear step, of whatever kind; ``scale`` is what b is multiplied by before.
@@ -215,7 +221,8 @@ def estimate_deviations(team: Team, subdomains: Sequence[Subdomain], step: Linea
     at_rest = Field.zero(team, subdomains)
     for sample in range(forces.n_samples):
         b = at_rest.with_parts(scale * b_s for b_s in forces.generate(sample))
-        displacements = _displace(team, subdomains, step.solve(at_rest, b, ENOUGH).dq, unmeasured)
+        displacements = find_node_displacements(team, subdomains, step.solve(at_rest, b, ENOUGH).dq, unmeasured)
+        watch([u / scale for u in displacements])
         at_nodes = recover_nodal_gradients(team, subdomains, [u.ravel() for u in displacements])
         for subdomain, opening, of_subdomain, u, gradient in zip(subdomains, openings, squares, displacements, at_nodes,
                                                                  strict=True):
@@ -255,9 +262,9 @@ def _measure_rms(team: Team, subdomains: Sequence[Subdomain], deviations: Sequen
     return float(np.sqrt(total / max(n_nodes, 1.0)))
 
 
-def _displace(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array],
-              unmeasured: Sequence[BoolArray]) -> list[Array]:
-    """Displacement of each subdomain's nodes, the mean of copies, nan where unmeasured, (n_nodes, dim); collective."""
+def find_node_displacements(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array],
+                   unmeasured: Sequence[BoolArray]) -> list[Array]:
+    """Displace each subdomain's nodes by the mean of copies, nan where unmeasured, (n_nodes, dim); collective."""
     shares = [(s.kinematics.tangent @ q_s[:s.n_field]).reshape(-1, s.mesh.dim) / s.node_multiplicity[:, None]
               for s, q_s in zip(subdomains, q, strict=True)]
     displacements = sum_shared_nodes(team, subdomains, shares)

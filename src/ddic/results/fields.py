@@ -161,6 +161,7 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     uncertainty = measurement.uncertainty
     if uncertainty is not None:
         at_points = (*at_points, *schema.uncertainty_point_fields(dim, regularized=uncertainty.bias is not None))
+        at_points += () if measurement.comparison is None else schema.list_comparison_fields()
         on_cells = (*on_cells, *schema.uncertainty_cell_fields(dim))
     layout = team.on_root(lambda: require_held(writer).create_mesh(total, at_points, on_cells))
     gradients = recover_nodal_gradients(team, measurement.subdomains, measurement.displacements)
@@ -235,6 +236,12 @@ def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Arra
             data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
         if uncertainty.bias is not None:
             data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
+    if measurement.comparison is not None:
+        compared = measurement.comparison
+        data |= {name: drawn.interpolate(of_subdomains[number])
+                 for name, of_subdomains in ((schema.SIMULATED, compared.simulated),
+                                             (schema.SIMULATION_DIFFERENCE, compared.difference),
+                                             (schema.NORMALISED_DIFFERENCE, compared.normalised))}
     return data
 
 
@@ -304,6 +311,11 @@ def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
         writer.write_attributes(schema.UNCERTAINTY, list_uncertainty(measurement.uncertainty))
         if measurement.uncertainty.opening_deviations:
             writer.write_table(schema.OPENING_DEVIATIONS, measurement.uncertainty.opening_deviations)
+    if measurement.comparison is not None:
+        writer.write_attributes(schema.COMPARISON, measurement.comparison.origin)
+        writer.write_table(schema.COMPARED_REGIONS, measurement.comparison.regions)
+    if measurement.identification is not None:
+        writer.write_table(schema.IDENTIFICATION, measurement.identification.table)
     if measurement.detection is not None:
         writer.write_arrays(schema.DETECTION, measurement.detection.to_arrays())
     for motion in measurement.motions:

@@ -53,7 +53,9 @@ from ddic.visibility.solved_frame import SeenFrame, SolvedFrame
 
 if TYPE_CHECKING:
     from ddic.detection.find_lines import Detection
+    from ddic.results.comparison import Comparison
     from ddic.results.field_uncertainty import FieldUncertainty
+    from ddic.results.identification import Identification
 
 
 LEAST_USED = 0.5
@@ -105,6 +107,10 @@ class Measurement:
         What speaks for or against the field.
     uncertainty : FieldUncertainty or None
         What noise and regularization do to the field, where the case asks for it.
+    comparison : Comparison or None
+        A simulation beside the field, where the case names one.
+    identification : Identification or None
+        Parameters of the material, where they were sought.
     detection : Detection or None
         What was seen where lines were looked for in this frame.
     independent : list of (n_dofs,) array, or None
@@ -133,6 +139,8 @@ class Measurement:
     method: str = ""
     preconditioner: str = "none"
     uncertainty: FieldUncertainty | None = None
+    comparison: Comparison | None = None
+    identification: Identification | None = None
     detection: Detection | None = None
     independent: list[Array] | None = None
 
@@ -217,6 +225,8 @@ class Measurement:
             preconditioner=self.preconditioner,
             ranges=find_field_ranges(self.team, list(fields)),
             iteration_table=list_iterations(self),
+            comparison={} if self.comparison is None else self.comparison.regions,
+            identification={} if self.identification is None else self.identification.table,
         )
 
     def describe_origin(self) -> dict[str, str | int]:

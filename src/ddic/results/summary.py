@@ -123,6 +123,9 @@ class Summary:
         The validated case with all defaults, as the result file has it, and the path of its file as ``path``.
     verdict : Verdict
         Whether the field can be trusted, and why not.
+    comparison, identification : dict
+        Columns of the table of a comparison with a simulation, a row a region, and of that of a material's parameters;
+        empty where there is none.
     """
 
     converged: bool
@@ -160,6 +163,8 @@ class Summary:
     case: Mapping[str, Any] = field(default_factory=dict)
     local_iterations: int = 0
     verdict: Verdict | None = None
+    comparison: Mapping[str, Any] = field(default_factory=dict)
+    identification: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_summary(path: Path, summary: Summary, files: NewFiles | None = None) -> None:

@@ -1,0 +1,95 @@
+"""``ddic compare``: a measured field beside a simulation; ``ddic identify``: the parameters of a material."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ddic.cli.failures import abort_quietly, show_failure, take_closed_pipes_as_errors
+
+if TYPE_CHECKING:
+    from ddic.parallel.team import Team
+    from ddic.results.listener import Listener
+    from ddic.results.summary import Summary
+
+
+@click.command()
+@click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
+@click.argument("simulation", required=False, metavar="[SIMULATION]", type=click.Path(path_type=Path))
+@click.option("--step", metavar="N|last", help="Step of the simulation, by its number, or the last one.")
+@click.option("--time", type=float, metavar="T", help="Step of the simulation, by its time.")
+@click.option("--field", metavar="NAME", help="Name of the displacement in the simulation's file.")
+@click.option("--fit", type=click.Choice(["nothing", "motion", "placement"]),
+              help="What is fitted before: nothing, a rigid motion, or where the simulation lies too.")
+def compare(case_file: Path, simulation: Path | None, step: str | None, time: float | None, field: str | None,
+            fit: str | None) -> None:
+    """Measure a pair and compare it with a simulation, levelled; alone or under mpirun.
+
+    The result has the difference at the nodes, in pixels and in standard deviations, and chi^2 by region. What is left
+    out here, [simulation] of the case says.
+    """
+    file = None if simulation is None else simulation.absolute()
+    given = {"file": file, "step": _parse_step(step), "time": time, "field": field, "fit": fit}
+    said = {key: value for key, value in given.items() if value is not None}
+
+    def work(team: Team, listener: Listener) -> Summary:
+        from ddic.methods.material import compare_case
+
+        return compare_case(team, case_file, said, listener)
+
+    _run_everywhere(work)
+
+
+def _parse_step(text: str | None) -> int | None:
+    if text is None or text == "last":
+        return None if text is None else -1
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if number < 1:
+        raise click.BadParameter(f'{text} is no step: give a number from 1, or "last"', param_hint="--step")
+    return number
+
+
+@click.command()
+@click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
+def identify(case_file: Path) -> None:
+    """Identify the elastic parameters of a case's material from its images and forces; alone or under mpirun.
+
+    Prints them with standard deviations and correlations, and says whether the mesh is fine enough. The result is that
+    of the last image, with its difference from the law that was found.
+    """
+
+    def work(team: Team, listener: Listener) -> Summary:
+        from ddic.methods.material import identify_case
+
+        return identify_case(team, case_file, listener)
+
+    _run_everywhere(work)
+
+
+def _run_everywhere(work: Callable[[Team, Listener], Summary]) -> None:
+    """Run on all ranks, rank 0 telling how it goes; an error that only this rank has ends the job."""
+    # Imported here because MPI, PETSc and numba start with them, which --help does not need.
+    from ddic.parallel.team import Team
+    from ddic.results.listener import Silence
+
+    team = Team.world()
+    take_closed_pipes_as_errors()
+    try:
+        if not team.is_root:
+            work(team, Silence())
+            return
+        from ddic.results.console import RunConsole
+
+        with RunConsole() as console:
+            console.finish(work(team, console))
+    except Exception as error:
+        code = show_failure(team, error)
+        abort_quietly(team, code)
+        sys.exit(code)

@@ -1,0 +1,1 @@
+"""Constitutive parameters from the images of a specimen and the forces on it."""
