@@ -117,15 +117,19 @@ def compare(problem: WeightedProblem, measurement: Measurement, known: KnownDisp
     hessians = team.together(lambda: [
         [view.assemble_hessian(cells) for cells in of_subdomain.values()]
         for (view, *_), of_subdomain in zip(model.views, regions, strict=True)])
+    counted = [_find_nodes_of(subdomain.mesh, is_compared)[:, None]
+               for subdomain, is_compared in zip(measurement.subdomains, are_compared, strict=True)]
     samples: list[Array] = []
-    uncertainty = estimate_field_uncertainty(
-        problem, model, measurement.evaluation, q, measurement.unmeasured,
-        watch=lambda of_subdomains: samples.append(_sum_energies(team, hessians, of_subdomains)))
+
+    def watch(displacements: list[Array]) -> None:
+        # At the nodes of which the difference counts.
+        of_counted = [np.where(is_counted, u, np.nan) for is_counted, u in zip(counted, displacements, strict=True)]
+        samples.append(_sum_energies(team, hessians, of_counted))
+
+    uncertainty = estimate_field_uncertainty(problem, model, measurement.evaluation, q, measurement.unmeasured, watch)
     simulated = find_node_displacements(team, measurement.subdomains, levelled.q, measurement.unmeasured)
-    difference = [u.reshape(of_nodes.shape) - of_nodes
-                  for u, of_nodes in zip(measurement.displacements, simulated, strict=True)]
-    for subdomain, is_compared, of_nodes in zip(measurement.subdomains, are_compared, difference, strict=True):
-        of_nodes[~_find_nodes_of(subdomain.mesh, is_compared)] = np.nan
+    difference = [np.where(is_counted, u.reshape(of_nodes.shape) - of_nodes, np.nan)
+                  for is_counted, u, of_nodes in zip(counted, measurement.displacements, simulated, strict=True)]
     normalised = [of_nodes / deviations.displacement
                   for of_nodes, deviations in zip(difference, uncertainty.deviations, strict=True)]
     table = _judge_regions(list(regions[0]), _sum_energies(team, hessians, difference), np.array(samples),
