@@ -25,6 +25,9 @@ OPEN: dict[tuple[str, str], str] = {
     ("clean", "tension"):
         "a dark hole: four cells at its edge are excluded otherwise, and 5 of 110,568 nodes beside them differ by up "
         "to 0.006 px, as much as they are off the truth; standard deviations are not estimated there",
+    ("faults", "bad_inputs"):
+        "41 kinds of 5,027, mended since and right when tried by themselves: folders in place of images, residuals of "
+        "another dimension, damaged sizes of images; the whole check is to be measured again",
     ("house", "kernel_rates"):
         "the residual image of 33,000 px, once a frame: 130 microseconds in place of 120, since calls in Python for "
         "torn cells and bands take 12 more; on 2.4 Mpx 1.01 to 1.69 times the rate; on another processor 33,000 px had "
