@@ -132,6 +132,6 @@ def fit_placement(placed: PlacedField, points: Array, measured: Array) -> Placed
     error = max(float(np.sqrt(found.fun @ found.fun / n_free)), LEAST_ERROR)
     deviation = error / max(np.linalg.svd(found.jac, compute_uv=False)[-1], 1e-300)
     if deviation > LARGEST_DEVIATION:
-        raise InputError("simulation.placement: the field changes too little from place to place to tell where the "
-                         f"simulation lies (to {deviation:.2g} px); give simulation.mapping, and placement = \"given\"")
+        raise InputError("simulation.fit: the field changes too little from place to place to tell where the "
+                         f"simulation lies (to {deviation:.2g} px); give simulation.mapping, and fit = \"motion\"")
     return place(found.x)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -67,7 +68,11 @@ class ImageEvidence:
         return self.model.team
 
     def gather_hessian(self) -> sparse.csr_matrix | None:
-        """Give M, turned back, on rank 0; collective."""
+        """Give M, turned back, on rank 0; collective where it is asked for first."""
+        return self._hessian
+
+    @cached_property
+    def _hessian(self) -> sparse.csr_matrix | None:
         model = self.model
         shown = self._team.together(lambda: model.views.map(model.show, model.views.fill(self.measured)))
         hessians = self._team.together(lambda: add_matrices(

@@ -9,7 +9,6 @@ so that the matrices K_m, of the cells of a material and the tensor of which onl
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,9 +19,8 @@ import numpy as np
 from scipy import sparse
 
 from ddic.arrays import Array, BoolArray
-from ddic.functionals.regularization import assemble_tensor_stiffness
+from ddic.functionals.regularization import Material, assemble_tensor_stiffness
 from ddic.mesh.mesh import Mesh
-from ddic.mesh.rotation import build_rotation
 
 VOIGT = ((0, 0), (1, 1), (0, 1))
 """Components xx, yy and xy of strain and stress."""
@@ -66,13 +64,14 @@ class ElasticLaw:
     def compute_stiffness(self, values: Array) -> Array:
         """Compute C of sigma = C epsilon by Voigt's components xx, yy and 2 xy, (3, 3)."""
         if self.name == "orthotropic":
-            return _compute_orthotropic(*values)
-        young, nu = values
-        if self.plane == "strain":
-            # That of plane stress with other constants.
-            young, nu = young / (1.0 - nu**2), nu / (1.0 - nu)
-        return np.asarray(young / (1.0 - nu**2)
-                          * np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]))
+            young_1, unit, nu, shear, angle = values
+            material = Material(nu, "stress", young_1 / unit, shear / unit, np.deg2rad(angle))
+        else:
+            unit, nu = values
+            material = Material(nu, self.plane)
+        # That of Young's modulus 1, or E2 = 1.
+        tensor = unit * material.stiffness
+        return np.array([[tensor[*row, *column] for column in VOIGT] for row in VOIGT])
 
     def is_possible(self, values: Array) -> bool:
         """Tell whether there may be such a material: whether its elastic energy is positive."""
@@ -80,18 +79,6 @@ class ElasticLaw:
             stiffness = self.compute_stiffness(values)
         return bool(np.isfinite(stiffness).all() and np.linalg.eigvalsh(stiffness).min() > 0
                     and (self.name == "orthotropic" or -1.0 < values[1] < 0.5))
-
-
-def _compute_orthotropic(young_1: float, young_2: float, nu: float, shear: float, angle_degrees: float) -> Array:
-    """C along x and y of a plane material with axes of its own."""
-    determinant = 1.0 - nu**2 * young_2 / young_1
-    c = np.zeros((2, 2, 2, 2))
-    c[0, 0, 0, 0], c[1, 1, 1, 1] = young_1 / determinant, young_2 / determinant
-    c[0, 0, 1, 1] = c[1, 1, 0, 0] = nu * young_2 / determinant
-    c[0, 1, 0, 1] = c[0, 1, 1, 0] = c[1, 0, 0, 1] = c[1, 0, 1, 0] = shear
-    axes = build_rotation(math.radians(angle_degrees))
-    turned = np.einsum("ip,jq,kr,ls,pqrs->ijkl", *[axes] * 4, c)
-    return np.array([[turned[*row, *column] for column in VOIGT] for row in VOIGT])
 
 
 @dataclass(frozen=True, eq=False)
