@@ -28,9 +28,9 @@ from ddic.inputs.mesh_source import (
     build_meshes,
     build_plain_grid,
     check_wavelength_fits,
-    find_cells_in,
     is_plain_grid,
     read_case_simulation,
+    share_cells,
 )
 from ddic.io.input_file import FileStamps
 from ddic.io.result_reader import require_known_displacement
@@ -381,18 +381,7 @@ def _check_identification(case: Case, section: IdentificationSection, mesh: Mesh
             find_named_nodes(mesh, name)
         except InputError as error:
             raise InputError([f"identification.{key}: {problem}" for problem in error.problems]) from error
-    is_free = np.ones(mesh.n_cells, dtype=bool)
-    regions = {region.name: region for region in case.region}
-    for material in section.material:
-        if material.region is not None:
-            cells = find_cells_in(regions[material.region], mesh) & is_free
-            is_free &= ~cells
-            if not cells.any():
-                raise InputError(f'identification.material.region = "{material.region}": holds no cell of its own; '
-                                 "move the region, or leave the material out")
-    if is_free.any() and all(material.region is not None for material in section.material):
-        raise InputError(f"identification.material: {is_free.sum()} cells are of no material; give one without a "
-                         "region")
+    share_cells(case, mesh)
 
 
 def _check_on_grid(loaded: LoadedCase, reference: ImageSource, points: StartPoints | None,

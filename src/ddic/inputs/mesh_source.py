@@ -145,6 +145,29 @@ def find_cells_in(section: RegionSection, mesh: Mesh) -> BoolArray:
     return np.asarray(((centroids >= low) & (centroids <= high)).all(axis=1))
 
 
+def share_cells(case: Case, mesh: Mesh) -> list[BoolArray]:
+    """Share the cells among the materials that are sought, (n_cells,) each; one of no region has what is left.
+
+    Raises InputError where a material has no cell, or a cell no material.
+    """
+    materials, is_free = require_held(case.identification).material, np.ones(mesh.n_cells, dtype=bool)
+    regions = {region.name: region for region in case.region}
+    found = []
+    for material in materials:
+        cells = np.zeros(mesh.n_cells, dtype=bool)
+        if material.region is not None:
+            cells = find_cells_in(regions[material.region], mesh) & is_free
+            if not cells.any():
+                raise InputError(f'identification.material.region = "{material.region}": holds no cell of its own; '
+                                 "move the region, or leave the material out")
+        is_free &= ~cells
+        found.append(cells)
+    if is_free.any() and all(material.region is not None for material in materials):
+        raise InputError(f"identification.material: {is_free.sum()} cells are of no material; give one without a "
+                         "region")
+    return [is_free if material.region is None else cells for material, cells in zip(materials, found, strict=True)]
+
+
 def _check_pixels(section: MeshedSection, name: str) -> int:
     """Refuse a mesh that has elements without a pixel whatever its holes; the number of others comes back."""
     n_along = count_cells(section.box, section.element_size, name)

@@ -19,7 +19,7 @@ from ddic.identification.identify import FieldEvidence, correct_once, identify
 from ddic.identification.image_evidence import ImageEvidence
 from ddic.identification.joint_step import ElasticModel, MeasuredForce
 from ddic.identification.laws import ElasticBody, ElasticLaw, LawOnCells
-from ddic.inputs.mesh_source import find_cells_in
+from ddic.inputs.mesh_source import share_cells
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.refinement import refine
 from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_named_nodes
@@ -132,7 +132,7 @@ def build_model(case: Case, mesh: Mesh) -> ElasticModel:
     laws = [LawOnCells(ElasticLaw(material.law, material.plane), cells, _list_values(material),
                        _choose_sought(material, is_held=not has_force and k == 0),
                        (material.region or "rest") if len(section.material) > 1 else "")
-            for k, (material, cells) in enumerate(zip(section.material, _share_cells(case, section, mesh),
+            for k, (material, cells) in enumerate(zip(section.material, share_cells(case, mesh),
                                                       strict=True))]
     is_loaded = np.zeros(mesh.n_nodes, dtype=bool)
     for name in section.loaded:
@@ -143,23 +143,6 @@ def build_model(case: Case, mesh: Mesh) -> ElasticModel:
 
 def _find_nodes(mesh: Mesh, name: str) -> IntArray:
     return find_boundary_nodes(mesh) if name == BOUNDARY else find_named_nodes(mesh, name)
-
-
-def _share_cells(case: Case, section: IdentificationSection, mesh: Mesh) -> list[BoolArray]:
-    """Cells of each material, each of one."""
-    is_free = np.ones(mesh.n_cells, dtype=bool)
-    found = []
-    by_name = {region.name: region for region in case.region}
-    for material in section.material:
-        cells = np.zeros(mesh.n_cells, dtype=bool)
-        if material.region is not None:
-            cells = find_cells_in(by_name[material.region], mesh) & is_free
-        is_free &= ~cells
-        found.append(cells)
-    for k, material in enumerate(section.material):
-        if material.region is None:
-            found[k] = is_free
-    return found
 
 
 def _list_values(material: MaterialSection) -> Array:
