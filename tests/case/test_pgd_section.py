@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from ddic.case.loader import load_case, parse_case_text
-from ddic.check.case import check_case, check_ranks
+from ddic.check.case import check_case
+from ddic.check.ranks import check_ranks
 from ddic.errors import InputError
 from support.cases import REGION, case_text, write_case, write_images
 

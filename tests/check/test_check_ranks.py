@@ -9,7 +9,8 @@ import pytest
 
 from ddic.api.given import make_case
 from ddic.case.loader import LoadedCase, load_case
-from ddic.check.case import check_case_file, check_mesh, check_ranks, load_checked_case
+from ddic.check.case import check_case_file, check_mesh, load_checked_case
+from ddic.check.ranks import check_ranks
 from ddic.errors import InputError
 from ddic.mesh.structured import build_structured_mesh
 from support.cases import write_case, write_images

@@ -10,7 +10,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from ddic.errors import InputError
-from ddic.io.simulation_file import list_steps, read_simulation, split_quadratic_cells
+from ddic.io.simulations.simulation_file import list_steps, read_simulation, split_quadratic_cells
 from ddic.mesh.interpolation import interpolate
 from ddic.mesh.mesh import Similarity
 from ddic.mesh.structured import build_structured_mesh

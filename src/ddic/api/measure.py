@@ -34,7 +34,8 @@ from ddic.case.methods import find_method
 from ddic.case.named_files import list_cameras
 from ddic.case.own_outputs import check_nothing_is_overwritten, check_output_file
 from ddic.case.schema import Case
-from ddic.check.case import check_mesh, check_most_ranks, check_ranks
+from ddic.check.case import check_mesh
+from ddic.check.ranks import check_most_ranks, check_ranks
 from ddic.errors import ConvergenceError, DdicError, InputError, Problems
 from ddic.images.grey_levels import find_saturation
 from ddic.images.source import ImageSource

@@ -1,4 +1,4 @@
-"""All that a case names, validated without solving and for the ranks at hand; images in ``check/images.py``."""
+"""All that a case names, validated without solving; images in ``check/images.py``, ranks in ``check/ranks.py``."""
 
 import math
 import warnings
@@ -13,9 +13,16 @@ from ddic.case.loader import LoadedCase, list_unused_keys, load_case_leniently
 from ddic.case.methods import find_method, find_method_section
 from ddic.case.named_files import list_cameras, list_deformed, list_named_files, list_times
 from ddic.case.own_outputs import check_output
-from ddic.case.schema import Case, IdentificationSection, RegularizationSection, SolverSection
+from ddic.case.schema import Case, IdentificationSection, RegularizationSection
 from ddic.check.images import check_decodable, check_images, check_near_mapping, check_texture
 from ddic.check.pattern import Pattern, find_pattern
+from ddic.check.ranks import (
+    check_most_ranks,
+    check_number_of_subdomains,
+    check_ranks,
+    count_most_ranks,
+    count_ranks_of_group,
+)
 from ddic.errors import InputError, Problems
 from ddic.functionals.regularization import HalfAmplitudes
 from ddic.images.source import ImageSource
@@ -45,11 +52,9 @@ from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.raster import rasterize
 from ddic.mesh.repair import check_pixels
 from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_named_nodes, find_not_controlled_nodes
-from ddic.partition.split import split_by_blocks, split_grid_by_blocks
+from ddic.partition.split import split_grid_by_blocks
 from ddic.partition.ties import Tying
-from ddic.problem.choose_solver import count_given_subdomains
 from ddic.problem.region_mesh import check_lines, describe_cut, describe_cut_off, list_discontinuities
-from ddic.solvers.petsc import require_packages
 
 MOST_BARE = 0.2
 """Share of the cells without texture up to which nothing is said in the last line."""
@@ -241,7 +246,7 @@ def check_case(loaded: LoadedCase, n_ranks: int | None = None, of_keys: Sequence
     report: CheckReport | None = find_method(case).check(loaded, reference, points, problems)
     with problems.gathered():
         if n_ranks is not None:
-            n_ranks = _count_ranks_of_group(loaded, n_ranks)
+            n_ranks = count_ranks_of_group(loaded, n_ranks)
         check_ranks(loaded, 1 if n_ranks is None else n_ranks)
     if report is None or problems.lines or of_keys:
         raise InputError([*of_keys, *problems.lines])
@@ -259,20 +264,6 @@ def _check_start_points(loaded: LoadedCase, reference: ImageSource | None, probl
             check_start_points(points, reference.extent)
         return points
     return None
-
-
-def _count_ranks_of_group(loaded: LoadedCase, n_ranks: int) -> int:
-    """Count the ranks that measure a frame, of all ranks; refuse, with an InputError, what has no equal groups."""
-    n_groups = loaded.case.series.groups
-    if n_ranks % n_groups:
-        raise InputError(f"{loaded.path}: series.groups: {n_groups} equal groups cannot be made of {n_ranks} MPI "
-                         f"ranks; start a multiple of {n_groups} ranks, or ask for another number of groups")
-    return n_ranks // n_groups
-
-
-def check_ranks(loaded: LoadedCase, n_ranks: int) -> None:
-    """Refuse, with an InputError, a number of ranks on which the case's method cannot measure it."""
-    find_method(loaded.case).check_ranks(loaded, n_ranks)
 
 
 def check_on_mesh(loaded: LoadedCase, reference: ImageSource | None, points: StartPoints | None,
@@ -342,7 +333,7 @@ def check_mesh(loaded: LoadedCase, mesh: Mesh, n_ranks: int) -> None:
     _check_mesh_uses(loaded, _CheckedMesh(mesh, None, rasterize(mesh).pixel_counts), problems)
     if problems.lines:
         raise InputError(problems.lines)
-    check_most_ranks(loaded, _count_most_ranks(loaded.case, mesh), n_ranks)
+    check_most_ranks(loaded, count_most_ranks(loaded.case, mesh), n_ranks)
 
 
 def _check_mesh_uses(loaded: LoadedCase, checked: _CheckedMesh, problems: Problems) -> IntArray:
@@ -369,7 +360,7 @@ def _check_mesh_uses(loaded: LoadedCase, checked: _CheckedMesh, problems: Proble
         if case.solver.partition_file is not None:
             read_partition(case.solver.partition_file, mesh.n_cells)
     with problems.gathered(loaded.path):
-        _check_number_of_subdomains(case.solver, mesh.n_cells)
+        check_number_of_subdomains(case.solver, mesh.n_cells)
     return not_controlled
 
 
@@ -403,7 +394,7 @@ def _check_on_grid(loaded: LoadedCase, reference: ImageSource, points: StartPoin
             with problems.gathered(loaded.path):
                 _check_wavelength(section.cut_off_wavelength, grid.cell_size, n_inner)
         with problems.gathered(loaded.path):
-            _check_number_of_subdomains(case.solver, grid.n_cells)
+            check_number_of_subdomains(case.solver, grid.n_cells)
         if not problems.lines:
             with problems.gathered(loaded.path):
                 check_texture(case, reference, outline, grid.cell_size)
@@ -457,16 +448,6 @@ def _describe_grid(case: Case, reference: ImageSource, grid: GridLines, n_contro
     )
 
 
-def _check_number_of_subdomains(solver: SolverSection, n_cells: int) -> None:
-    """Refuse more of them than cells; the schema lets only one of both keys be given."""
-    if solver.subdomains is not None and solver.subdomains > n_cells:
-        raise InputError(f"solver.subdomains = {solver.subdomains}: the mesh has only {n_cells} cells; ask for fewer "
-                         "subdomains")
-    if solver.blocks is not None and math.prod(solver.blocks) > n_cells:
-        raise InputError(f"solver.blocks = {list(solver.blocks)}: {math.prod(solver.blocks)} blocks of a mesh of only "
-                         f"{n_cells} cells; ask for fewer")
-
-
 def _check_wavelength(wavelength: float | None, cell_size: float, n_inner_nodes: int) -> None:
     """Refuse one that the mesh does not carry, and a mesh without inner nodes, which says nothing of any."""
     if wavelength is None:
@@ -474,48 +455,6 @@ def _check_wavelength(wavelength: float | None, cell_size: float, n_inner_nodes:
     if n_inner_nodes <= 0:
         raise InputError(f"regularization.cut_off_wavelength = {wavelength:g}: {NO_INNER_NODE}")
     check_wavelength_fits(wavelength, cell_size)
-
-
-def _count_most_ranks(case: Case, mesh: Mesh) -> int:
-    """Count the subdomains, one a rank, that a case found fit can have at most: one a cell where it leaves it open."""
-    solver = case.solver
-    if solver.method == "monolithic":
-        return 1
-    if solver.blocks is not None and not case.near:
-        # Those without cells are dropped; those with cells of several cameras become several.
-        return int(split_by_blocks(mesh, solver.blocks).max()) + 1
-    return count_given_subdomains(solver, mesh.n_cells) or mesh.n_cells
-
-
-def check_most_ranks(loaded: LoadedCase, most: int, n_ranks: int) -> None:
-    """Raise InputError for more ranks than ``most`` subdomains, with the keys of the case that can be changed."""
-    if n_ranks <= most:
-        return
-    solver = loaded.case.solver
-    if solver.partition_file is not None:
-        what, remedy = f"{solver.partition_file}: {most} subdomains", "divide the mesh further there"
-    elif solver.blocks is not None:
-        what, remedy = f"{loaded.path}: solver.blocks: {most} blocks with cells", "ask for more of them"
-    else:
-        what, remedy = f"{loaded.path}: {most} cells of the mesh", "use smaller elements"
-    raise InputError(f"{what} for {n_ranks} MPI ranks, but every rank needs at least one; start at most {most} ranks "
-                     f"or {remedy}")
-
-
-def check_ranks_of_subdomains(loaded: LoadedCase, n_ranks: int) -> None:
-    """Refuse, by an InputError, more ranks than a case has subdomains, and solvers that PETSc lacks on so many."""
-    solver = loaded.case.solver
-    require_packages(str(loaded.path), solver.method, solver.local_inverse, n_ranks)
-    if solver.method == "monolithic":
-        if n_ranks > 1:
-            raise InputError(f'{loaded.path}: solver.method = "monolithic" runs on one rank, {n_ranks} were started; '
-                             'start one rank or use "dual"')
-        return
-    largest = solver.subdomains if solver.blocks is None else math.prod(solver.blocks)
-    if largest is not None and n_ranks > largest:
-        key = "solver.subdomains" if solver.blocks is None else "solver.blocks"
-        raise InputError(f"{loaded.path}: {key}: {largest} subdomains for {n_ranks} MPI ranks, but every rank needs at "
-                         f"least one; start at most {largest} ranks or ask for more subdomains")
 
 
 def _describe_inputs(case: Case, reference: ImageSource, checked: _CheckedMesh,
@@ -540,7 +479,7 @@ def _describe_inputs(case: Case, reference: ImageSource, checked: _CheckedMesh,
         output=case.output.file,
         discontinuities=_describe_discontinuities(case, mesh),
         half_amplitudes=describe_cut_off(case.regularization, case.dim),
-        most_ranks=_count_most_ranks(case, mesh),
+        most_ranks=count_most_ranks(case, mesh),
     )
 
 

@@ -18,7 +18,7 @@ from ddic.case.schema import (
 from ddic.errors import InputError
 from ddic.images.window import Window
 from ddic.io.mesh_file import read_mesh
-from ddic.io.simulation_file import SimulatedField, read_simulation
+from ddic.io.simulations.simulation_file import SimulatedField, read_simulation
 from ddic.io.volume_file import open_mask
 from ddic.mesh.grid import GridLines
 from ddic.mesh.holes import OutlinedHole, RegionLike, convert_region, find_mask_holes

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ddic.case.schema import Case, GaussNewtonSection, RegularizationSection
-from ddic.check.case import check_on_mesh, check_ranks_of_subdomains
+from ddic.check.case import check_on_mesh
+from ddic.check.ranks import check_ranks_of_subdomains
 from ddic.errors import ConvergenceError, SingularSubdomainError, StoppedError, as_collective, is_collective
 from ddic.images.window import Window
 from ddic.inputs.cameras import Frame

@@ -1,0 +1,1 @@
+"""Displacement fields that finite element programs have computed."""
