@@ -56,6 +56,19 @@ def test_the_last_field_is_kept(folder: Path, ranks: int, to: int | None, number
     _check_kept_field(kept)
 
 
+def test_what_looks_at_the_material_stops_too(folder: Path) -> None:
+    law = '[identification]\nloaded = ["left"]\n[[identification.material]]\nlaw = "isotropic"\npoisson_ratio = 0.3\n'
+    write_case(folder, FOUR + ENDLESS + law)
+    with started(patient(folder, command="identify"), 2) as process:
+        wait_for(folder.parent / "iterating*", 2)
+        _send(process, folder, signal.SIGTERM, 1)
+        _, err = process.communicate(timeout=LIMIT)
+    assert process.returncode == 3
+    assert len(err.splitlines()) == 1, err
+    assert err.startswith("stopped by a signal after iteration ")
+    _check_kept_field(folder / "result.not_converged.vtkhdf")
+
+
 def _check_kept_field(kept: Path) -> None:
     """It is whole, and marked."""
     with pytest.warns(UserWarning, match="this field did not converge .stopped by a signal"):

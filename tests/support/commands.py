@@ -75,11 +75,11 @@ def ddic(*arguments: str | Path, ranks: int = 0) -> Finished:
     return finished([*DDIC, *map(str, arguments)], ranks)
 
 
-def driven(driver: str, folder: Path) -> list[str]:
-    """Command that runs Python code, then ``ddic run`` on the folder's case.toml."""
+def driven(driver: str, folder: Path, command: str = "run") -> list[str]:
+    """Command that runs Python code, then ``ddic run``, or another command, on the folder's case.toml."""
     script = folder.parent / f"{folder.name}_driver.py"
     script.write_text(driver + "\nimport sys\nfrom ddic.cli.app import command_line\n"
-                               f"sys.argv = ['ddic', 'run', {str(folder / 'case.toml')!r}]\ncommand_line()\n",
+                               f"sys.argv = ['ddic', {command!r}, {str(folder / 'case.toml')!r}]\ncommand_line()\n",
                       encoding="utf-8")
     return [sys.executable, str(script)]
 

@@ -34,6 +34,6 @@ ordinary, StopRequest.note_signals = StopRequest.note_signals, note_signals
 """Iterations that last, and files that say which process a rank is and that it iterates."""
 
 
-def patient(folder: Path, seconds: float = 0.1) -> list[str]:
-    """Command of ``ddic run`` on the folder's case.toml, with iterations of so many seconds."""
-    return driven(PATIENT.format(signs=str(folder.parent), seconds=seconds), folder)
+def patient(folder: Path, seconds: float = 0.1, command: str = "run") -> list[str]:
+    """Command that measures the folder's case.toml, with iterations of so many seconds."""
+    return driven(PATIENT.format(signs=str(folder.parent), seconds=seconds), folder, command)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from ddic.cli.failures import abort_quietly, show_failure, take_closed_pipes_as_errors
+from ddic.cli.run import measure_everywhere
 
 if TYPE_CHECKING:
+    from ddic.parallel.stop_request import StopRequest
     from ddic.parallel.team import Team
     from ddic.results.listener import Listener
     from ddic.results.summary import Summary
@@ -25,8 +24,9 @@ if TYPE_CHECKING:
 @click.option("--field", metavar="NAME", help="Name of the displacement in the simulation's file.")
 @click.option("--fit", type=click.Choice(["nothing", "motion", "placement"]),
               help="What is fitted before: nothing, a rigid motion, or where the simulation lies too.")
-def compare(case_file: Path, simulation: Path | None, step: str | None, time: float | None, field: str | None,
-            fit: str | None) -> None:
+@click.pass_obj
+def compare(stop: StopRequest | None, case_file: Path, simulation: Path | None, step: str | None, time: float | None,
+            field: str | None, fit: str | None) -> None:
     """Measure a pair and compare it with a simulation, levelled; alone or under mpirun.
 
     The result has the difference at the nodes, in pixels and in standard deviations, and chi^2 by region. What is left
@@ -41,7 +41,7 @@ def compare(case_file: Path, simulation: Path | None, step: str | None, time: fl
 
         return compare_case(team, case_file, said, listener)
 
-    _run_everywhere(work)
+    measure_everywhere(stop, work)
 
 
 def _parse_step(text: str | None) -> int | None:
@@ -58,7 +58,8 @@ def _parse_step(text: str | None) -> int | None:
 
 @click.command()
 @click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
-def identify(case_file: Path) -> None:
+@click.pass_obj
+def identify(stop: StopRequest | None, case_file: Path) -> None:
     """Identify the elastic parameters of a case's material from its images and forces; alone or under mpirun.
 
     Prints them with standard deviations and correlations, and says whether the mesh is fine enough. The result is that
@@ -70,26 +71,4 @@ def identify(case_file: Path) -> None:
 
         return identify_case(team, case_file, listener)
 
-    _run_everywhere(work)
-
-
-def _run_everywhere(work: Callable[[Team, Listener], Summary]) -> None:
-    """Run on all ranks, rank 0 telling how it goes; an error that only this rank has ends the job."""
-    # Imported here because MPI, PETSc and numba start with them, which --help does not need.
-    from ddic.parallel.team import Team
-    from ddic.results.listener import Silence
-
-    team = Team.world()
-    take_closed_pipes_as_errors()
-    try:
-        if not team.is_root:
-            work(team, Silence())
-            return
-        from ddic.results.console import RunConsole
-
-        with RunConsole() as console:
-            console.finish(work(team, console))
-    except Exception as error:
-        code = show_failure(team, error)
-        abort_quietly(team, code)
-        sys.exit(code)
+    measure_everywhere(stop, work)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, NoReturn, TextIO
 
 import click
 
@@ -23,6 +23,8 @@ from ddic.parallel.stop_request import INTERRUPTED, StopRequest, find_rank, prep
 
 if TYPE_CHECKING:
     from ddic.parallel.team import Team
+    from ddic.results.listener import Listener
+    from ddic.results.summary import SeriesSummary, Summary
 
 ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self"}
 """Settings of Open MPI for a process without a launcher: it has nobody to talk to, and looking for fast networks takes
@@ -49,6 +51,18 @@ def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...
     Options that PETSC_OPTIONS give pass to PETSc, for instance -dual_ksp_monitor.
     """
     _check_words(case_file, petsc_options)
+
+    def work(team: Team, listener: Listener) -> Summary | SeriesSummary:
+        from ddic.methods.run import run_file
+
+        return run_file(team, case_file, listener, resume=resume)
+
+    measure_everywhere(stop, work, petsc_options)
+
+
+def measure_everywhere(stop: StopRequest | None, work: Callable[[Team, Listener], Summary | SeriesSummary],
+                       petsc_options: tuple[str, ...] = ()) -> NoReturn:
+    """Start MPI and PETSc, let all ranks measure, rank 0 telling how it goes, and end the program."""
     if stop is None:  # by another way than the program's own beginning
         stop = StopRequest()
         stop.note_signals()
@@ -57,7 +71,7 @@ def run(stop: StopRequest | None, case_file: Path, petsc_options: tuple[str, ...
     os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
     with imports_kept():
         team = _start(petsc_options, stop)
-    code = _run_everywhere(team, case_file, petsc_options, resume=resume)
+    code = _work_on_all(team, work, petsc_options)
     stop.is_over = True
     sys.exit(code)
 
@@ -133,20 +147,20 @@ def _no_needless_networks() -> Iterator[None]:
             del os.environ[name]
 
 
-def _run_everywhere(team: Team, case_file: Path, petsc_options: tuple[str, ...], *, resume: bool) -> int:
-    """Run on all ranks; an error that only this rank has ends the job."""
-    from ddic.methods.run import run_file
+def _work_on_all(team: Team, work: Callable[[Team, Listener], Summary | SeriesSummary],
+                 petsc_options: tuple[str, ...]) -> int:
+    """Work on all ranks, and return the exit code; an error that only this rank has ends the job."""
     from ddic.results.listener import Silence
 
     try:
         with _warnings_told_once(team.is_root):
             if not team.is_root:
-                run_file(team, case_file, Silence(), resume=resume)
+                work(team, Silence())
             else:
                 from ddic.results.console import RunConsole
 
                 with RunConsole() as console:
-                    console.finish(run_file(team, case_file, console, resume=resume))
+                    console.finish(work(team, console))
         _warn_of_unused_options(team, petsc_options)
     except BaseException as error:
         return _failed(team, error, petsc_options)
