@@ -62,10 +62,11 @@ def test_what_looks_at_the_material_stops_too(folder: Path) -> None:
     with started(patient(folder, command="identify"), 2) as process:
         wait_for(folder.parent / "iterating*", 2)
         _send(process, folder, signal.SIGTERM, 1)
-        _, err = process.communicate(timeout=LIMIT)
-    assert process.returncode == 3
-    assert len(err.splitlines()) == 1, err
-    assert err.startswith("stopped by a signal after iteration ")
+        out, err = process.communicate(timeout=LIMIT)
+        job = Finished(process.returncode, out, err, 0.0)
+    assert job.code == 3
+    assert len(job.errors) == 1, job.err
+    assert job.errors[0].startswith("stopped by a signal after iteration ")
     _check_kept_field(folder / "result.not_converged.vtkhdf")
 
 
