@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help install setup page demo test test-programs test-slurm test-hosts lint docs papers pictures bench bench-iterations bench-interface bench-paper bench-peers bench-before bench-big bench-scaling \
 	bench-threads accept accept-stale accept-judge accept-core accept-solver accept-performance accept-near-far accept-house accept-right accept-xdic accept-start accept-pgd \
-	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer accept-papers accept-volumes trials smoke clean
+	accept-impressions accept-practice accept-faults accept-scale accept-clean accept-trust accept-newcomer accept-papers accept-volumes accept-identify trials smoke clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -159,6 +159,9 @@ accept-clean: $(BENCH_STAMP) ## measure the table of clean pairs: what they pay 
 
 accept-volumes: $(BENCH_STAMP) ## measure the table of volumes (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables volumes $(CHECK)
+
+accept-identify: setup ## measure the table of simulations beside fields, and of materials from images (CHECK=NAME: one check)
+	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables identify --jobs $(JOBS) $(CHECK)
 
 accept-papers: $(BENCH_STAMP) ## measure the table of the four papers' figures, and of lines found by themselves (CHECK=NAME: one check)
 	@. scripts/mpi_env.sh; export PATH="$$PWD/.venv/bin:$$PATH"; $(PYTHON) -m accept.tables papers $(CHECK)

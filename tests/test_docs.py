@@ -35,6 +35,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
     "[discontinuity]": schema.DiscontinuitySection,
     "[correlation]": schema.CorrelationSection,
     "[regularization]": schema.RegularizationSection,
+    "[regularization.stiffness]": schema.StiffnessSection,
     "[solver]": schema.SolverSection,
     "[gauss_newton]": schema.GaussNewtonSection,
     "[start]": schema.StartSection,

@@ -368,6 +368,14 @@ def test_strain_around_hole(tmp_path: Path) -> None:
     assert far == pytest.approx(far_exact, rel=0.03)
 
 
+def test_own_model(tmp_path: Path) -> None:
+    nu, of_nu, _, strain, of_strain, _, _, chi = run_script("own_model", tmp_path)
+    # Three standard deviations, and what elements of 14 px smooth of the model at the hole.
+    assert abs(nu - 0.33) < 3 * of_nu + 0.003
+    assert abs(strain - 0.005) < 3 * of_strain + 2e-5
+    assert chi < 1.3
+
+
 def test_read_result(tmp_path: Path) -> None:
     _, difference, _, correction, *_, residual, largest = run_script("read_result", tmp_path)
     assert difference == 0.0

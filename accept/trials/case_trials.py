@@ -17,7 +17,7 @@ import click
 from pydantic import BaseModel
 
 from accept.inputs_and_outputs import FULL, NULL, make_device
-from accept.trials.trial import CASE_FILE, NEAR, OF_SECTION, PAIR, VOLUME, Edit, Keys, Raw, Trial, change
+from accept.trials.trial import CASE_FILE, NEAR, OF_SECTION, PAIR, REGULARIZED, VOLUME, Edit, Keys, Raw, Trial, change
 from ddic.case.schema import Case, find_section_in
 from ddic.cli.app import COMMANDS, command_line
 
@@ -202,6 +202,10 @@ BESIDE: Mapping[Keys, Mapping[str, Any]] = {
     ("solver", "blocks"): {"solver": {"partition": "blocks"}},
     ("solver", "partition_file"): {"solver": {"method": "dual", "partition": "file"}},
     ("regularization", "eta"): {"regularization": {}},
+    ("regularization", "hardening_ratio"): {"regularization": {**REGULARIZED["regularization"], "yield_strain": 0.01}},
+    ("regularization", "stiffness"): {
+        "region": [{"name": "left", "shape": [0, 0, 48, 96]}],
+        "regularization": {**REGULARIZED["regularization"], "stiffness": [{"region": "left", "ratio": 2.0}]}},
     ("images", "pixel_size"): {"images": {**PAIR["images"], "length_unit": "mm"}},
     ("images", "length_unit"): {"images": {**PAIR["images"], "pixel_size": 0.1}},
     ("volumes", "voxel_size"): {"volumes": {**VOLUME["volumes"], "length_unit": "mm"}},

@@ -14,7 +14,7 @@ from ddic.version import __version__
 if TYPE_CHECKING:
     from ddic.api.given import Image
     from ddic.api.measure import Session, measure, prepare
-    from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty
+    from ddic.api.studies import Uncertainty, choose_regularization, estimate_uncertainty, identify
     from ddic.api.synthetic import make_synthetic_pair
     from ddic.case.loader import load_case
     from ddic.case.schema import Case
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "api.given": ("Image",),
     "api.measure": ("Session", "measure", "prepare"),
-    "api.studies": ("Uncertainty", "choose_regularization", "estimate_uncertainty"),
+    "api.studies": ("Uncertainty", "choose_regularization", "estimate_uncertainty", "identify"),
     "api.synthetic": ("make_synthetic_pair",),
     "case.loader": ("load_case",),
     "case.schema": ("Case",),
@@ -76,9 +76,9 @@ __all__ = [
     "InputError", "Kinematics", "LineProbe", "LinearRegion", "Mesh", "Metrology", "NodalRegion", "Opening",
     "PointProbe", "Reading", "RegionKinematics", "Result", "Ring", "SeriesResult", "Session",
     "SingularSubdomainError", "StrainGauge", "Sweep", "TipDeviations", "Trial", "Uncertainty", "__version__",
-    "choose_regularization", "draw", "estimate_metrology", "estimate_uncertainty", "find_crack_tip", "load_case",
-    "load_probes", "make_synthetic_pair", "measure", "measure_opening", "measure_probe", "measure_probes", "open",
-    "open_series", "prepare", "structured_mesh", "unstructured_mesh", "view_results", "write_field_tables",
+    "choose_regularization", "draw", "estimate_metrology", "estimate_uncertainty", "find_crack_tip", "identify",
+    "load_case", "load_probes", "make_synthetic_pair", "measure", "measure_opening", "measure_probe", "measure_probes",
+    "open", "open_series", "prepare", "structured_mesh", "unstructured_mesh", "view_results", "write_field_tables",
     "write_probe_table", "write_report",
 ]
 

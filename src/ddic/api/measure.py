@@ -114,6 +114,9 @@ class Session:
                 start: StartLike | None = None, output: str | Path | None = None) -> Result:
         """Measure the displacement between the reference image and a deformed one.
 
+        Images do not depend on those before them, but for the weights of several cameras, which the first one gives,
+        and for a plastic material (``yield_strain``), whose history they are, in the order of the calls.
+
         Parameters
         ----------
         deformed : Image, (height, width) array, str or Path

@@ -1,6 +1,7 @@
-"""A cut-off wavelength and an element size for a case, chosen by trying them out.
+"""What is asked of a case beyond its field: a cut-off wavelength and an element size, chosen by trying them out.
 
-What displacements of one's own speckle are measured with, by size of the elements, without and with a line.
+What displacements of one's own speckle are measured with, by size of the elements, without and with a line. Parameters
+of a model of one's own.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,19 +21,22 @@ from ddic.case.methods import find_method_section
 from ddic.case.named_files import list_deformed
 from ddic.case.schema import Case, DiscontinuitySection, SolverSection
 from ddic.errors import ConvergenceError, InputError, SingularSubdomainError, refuse_unknown_arguments
+from ddic.identification.joint_step import FunctionModel
 from ddic.images.binned import ArraySource
 from ddic.images.sub_image import MaskedSource
 from ddic.inputs.cameras import make_first_camera
 from ddic.inputs.inputs import Inputs, open_inputs
 from ddic.inputs.mesh_source import LONGEST_WAVELENGTH, SHORTEST_WAVELENGTH, build_meshes
+from ddic.io.result_reader import Result, read_result
 from ddic.mesh.mesh import Mesh
 from ddic.mesh.plane import multiply_across
 from ddic.mesh.quality import measure_cell_size
 from ddic.mesh.structured import build_structured_mesh
 from ddic.methods.fe_dic import find_discontinuities, is_line_wanted
+from ddic.methods.material import identify_case
 from ddic.methods.sweep import list_element_sizes, list_wavelengths, measure_candidates, set_resolution
 from ddic.parallel.phases import PhaseClock
-from ddic.parallel.team import Team
+from ddic.parallel.team import Team, require_held
 from ddic.problem.reference_problem import build_whole_mesh, prepare_reference
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.listener import Silence
@@ -92,6 +96,8 @@ def _refuse_impossible(case: Case, wavelengths: Sequence[float] | None, sizes: S
         raise InputError(f"[{section}]: a sweep measures finite elements; leave [{section}] out")
     if case.near:
         raise InputError("[[near]]: a sweep knows one camera; leave [[near]] out")
+    if case.regularization is not None and case.regularization.yield_strain is not None:
+        raise InputError("regularization.yield_strain: a sweep has no history; leave yield_strain out")
     if sizes is not None and case.mesh.structured is None:
         raise InputError("element sizes: they go with [mesh.structured]; other elements stay as they are, leave "
                          "the sizes out")
@@ -375,3 +381,69 @@ def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settin
     points = np.random.default_rng(0).uniform(low, high, (N_POINTS, 2))
     error = result.at(points) - known.displacement(points)
     return float(np.nanmean(error)), float(np.nanstd(error, axis=0).mean())
+
+
+def identify(case: str | Path, simulate: Callable[[Mesh, Array], Array] | None = None,
+             start: Mapping[str, float] | None = None, *, step: float = 1e-3) -> Result:
+    """Identify parameters from the images of a case, by its own law or by a model of one's own; collective.
+
+    Parameters
+    ----------
+    case : str or Path
+        The case file. Without ``simulate`` its section ``[identification]`` says the law.
+    simulate : callable, optional
+        From the mesh and the parameters, (n_parameters,), to the displacement of its nodes, pixels: (n_nodes, dim), or
+        (n_frames, n_nodes, dim) of a series; called on rank 0, also with a mesh of half the size. What acts on the
+        specimen, displacements of its edges for instance, are among the parameters, or held by the function.
+    start : mapping of float, optional
+        Values from which its parameters are sought, by name, in their order.
+    step : float, optional
+        Of the differences by which it is differentiated, relative to a parameter, or to 1 where this is 0.
+
+    Returns
+    -------
+    Result
+        That of the last frame, as ``ddic identify`` writes it: ``identified`` has the parameters, their standard
+        deviations and correlations.
+
+    Raises
+    ------
+    InputError, ConvergenceError
+        On all ranks: where the case or the start is wrong, and where the parameters are not found.
+    """
+    team = Team.world()
+    # Rank 0's are used: others need not have them.
+    given = team.on_root(lambda: _check_model(simulate, start, step))
+
+    def build(case: Case, mesh: Mesh) -> FunctionModel:
+        n_frames, values = len(list_deformed(case.imaging)), np.array(list(given.values()))
+        wanted = (n_frames, *mesh.nodes.shape)
+
+        def solve(parameters: Array) -> tuple[Array, None]:
+            # A copy: it may be one place that the function fills again and again.
+            found = np.array(require_held(simulate)(mesh, parameters), np.float64)
+            if found.shape not in (wanted, wanted[1:] if n_frames == 1 else wanted) or not np.isfinite(found).all():
+                raise InputError(f"ddic.identify: simulate gave an array of shape {found.shape}; {wanted}, all finite, "
+                                 "is expected")
+            return found.reshape(wanted), None
+
+        return FunctionModel(list(given), values, solve, step * np.where(values == 0.0, 1.0, np.abs(values)))
+
+    summary = identify_case(team, Path(case), Silence(), build if given else None)
+    return read_result(Path(summary.result_file))
+
+
+def _check_model(simulate: Callable[[Mesh, Array], Array] | None, start: Mapping[str, float] | None,
+                 step: float) -> dict[str, float]:
+    """The start of a model of one's own; empty without one. Raises InputError for what is none."""
+    if (simulate is None) != (not start):
+        raise InputError("ddic.identify: simulate and start go together: give both, or leave both out")
+    given = dict(start or {})
+    for name, value in given.items():
+        if not isinstance(name, str) or not name.isidentifier():
+            raise InputError(f"ddic.identify: start: {name!r} is no name; use letters, digits and _")
+        if not isinstance(value, int | float) or not np.isfinite(value):
+            raise InputError(f"ddic.identify: start: {name} = {value!r} is no finite number")
+    if not 0.0 < step < 1.0:
+        raise InputError(f"ddic.identify: step = {step!r}: it must be above 0 and below 1")
+    return {name: float(value) for name, value in given.items()}

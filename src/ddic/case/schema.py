@@ -496,6 +496,16 @@ class CorrelationSection(Section):
         return "global" if self.grey_correction == "auto" else self.grey_correction
 
 
+class StiffnessSection(Section):
+    """A part of the region that is stiffer, or softer, than the rest."""
+
+    region: Name
+    """Name of the `[[region]]` whose cells are so; where several hold a cell the last one rules."""
+
+    ratio: Annotated[float, Field(ge=1e-4, le=1e4)]
+    """Its Young's modulus over that of the rest, and its yield stress too where there is one."""
+
+
 class RegularizationSection(Section):
     """Equilibrium gap, or Tikhonov's term; weight given as eta or as a cut-off wavelength in pixels."""
 
@@ -540,6 +550,17 @@ class RegularizationSection(Section):
     """Of a composite: where axis 1 points in the reference image, from +x towards +y, clockwise on the screen, whatever
     `[mesh.mapping]` says."""
 
+    stiffness: tuple[StiffnessSection, ...] = ()
+    """Parts of other stiffness, see below."""
+
+    yield_strain: Positive | None = None
+    """Yield stress in tension over Young's modulus, from which on the material is [plastic](choosing.md#plasticity):
+    von Mises, in plane stress, for strains up to some percent. The frames of a series, in their order, are its history.
+    Left out: elastic."""
+
+    hardening_ratio: NonNegative = 0.0
+    """With `yield_strain`: how the yield stress grows with the equivalent plastic strain, over Young's modulus."""
+
     @property
     def is_orthotropic(self) -> bool:
         """Whether the material has axes: it is a composite."""
@@ -549,6 +570,11 @@ class RegularizationSection(Section):
         if (self.eta is None) == (self.cut_off_wavelength is None):
             yield "give either regularization.cut_off_wavelength or regularization.eta"
         yield from self._list_impossible_composites() if self.is_orthotropic else self._list_impossible_isotropy()
+        if self.hardening_ratio > 0 and self.yield_strain is None:
+            yield "regularization.hardening_ratio goes with regularization.yield_strain"
+        if self.yield_strain is not None and (self.is_orthotropic or self.plane == "strain"):
+            yield ("regularization.yield_strain: plasticity is that of an isotropic material in plane stress; leave "
+                   'young_ratio, shear_ratio and plane = "strain" out')
         of_gap = self.model_fields_set - {"cut_off_wavelength", "eta", "operator"}
         if self.operator == "tikhonov" and of_gap:
             yield f'regularization.{min(of_gap)} goes with regularization.operator = "equilibrium_gap"'
@@ -1050,6 +1076,7 @@ class Case(Section):
         if self.pgd is None and self.regularization is not None and self.regularization.operator == "tikhonov":
             yield 'regularization.operator = "tikhonov" goes with [pgd]; use "equilibrium_gap"'
         yield from self._list_refused_by_simulations()
+        yield from self._list_refused_by_laws(self.regularization or RegularizationSection(eta=1.0))
         if self.pgd is not None:
             yield from self._list_refused_by_pgd()
 
@@ -1069,6 +1096,25 @@ class Case(Section):
         known = [region.name for region in self.region]
         yield from (f'identification.material.region = "{material.region}": no [[region]] has this name'
                     for material in self.identification.material if material.region not in (None, *known))
+
+    def _list_refused_by_laws(self, section: RegularizationSection) -> Iterator[str]:
+        """What does not go with a stiffness by regions, or with plasticity."""
+        known = [region.name for region in self.region]
+        yield from (f'regularization.stiffness.region = "{part.region}": no [[region]] has this name'
+                    for part in section.stiffness if part.region not in known)
+        if section.stiffness and self.pgd is not None:
+            yield "regularization.stiffness does not go with [pgd], which knows one stiffness; leave one of them out"
+        if section.yield_strain is None:
+            return
+        for what, is_given in {"[[near]]": bool(self.near), "[[discontinuity]]": bool(self.discontinuity),
+                               "[pgd]": self.pgd is not None, "[volumes]": self.volumes is not None,
+                               "[simulation]": self.simulation is not None,
+                               "[identification]": self.identification is not None,
+                               "output.uncertainty": self.output.uncertainty,
+                               "series.groups": self.series.groups > 1,
+                               "series.incremental": self.series.incremental != "never"}.items():
+            if is_given:
+                yield f"regularization.yield_strain does not go with {what}; leave one of them out"
 
     def _list_wrong_lengths(self) -> Iterator[str]:
         """Coordinates of the wrong number."""

@@ -34,6 +34,7 @@ from ddic.inputs.mesh_source import (
     build_mesh_anywhere,
     build_meshes,
     build_plain_grid,
+    check_stiffness,
     check_wavelength_fits,
     is_plain_grid,
     read_case_simulation,
@@ -351,6 +352,8 @@ def _check_mesh_uses(loaded: LoadedCase, checked: _CheckedMesh, problems: Proble
             not_controlled = find_not_controlled_nodes(mesh, section.not_controlled, section.boxes, boundary)
         with problems.gathered(loaded.path):
             _check_wavelength(section.cut_off_wavelength, measure_cell_size(mesh), mesh.n_nodes - len(edge))
+    with problems.gathered(loaded.path):
+        check_stiffness(case, mesh)
     with problems.gathered(loaded.path):
         check_lines(case, mesh)
     if case.identification is not None:

@@ -38,6 +38,7 @@ COMMANDS = {
     "run": "Measure the displacement between two images.",
     "compare": "Measure the displacement and compare it with a simulation.",
     "identify": "Identify the elastic parameters of a material.",
+    "modes": "Measure a series as a few fields times functions of time.",
     "check": "Validate all inputs of a case file without solving.",
     "mesh": "Write the mesh of a case file, with its node sets.",
     "synth": "Make image pairs with a known displacement.",
@@ -58,6 +59,7 @@ HOMES = {"calibrate": "calibrate:calibrate_near", "draw": "page:draw", "view": "
          "probe": "tables:probe", "export": "tables:export",
          "report": "info:report", "opening": "tables:opening", "crack": "tables:crack",
          "compare": "material:compare", "identify": "material:identify",
+         "modes": "material:modes",
          "uncertainty": "studies:uncertainty", "sweep": "studies:sweep"}
 """Module and function of the commands whose name is not that of both."""
 

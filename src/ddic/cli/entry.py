@@ -22,7 +22,7 @@ def main() -> None:
     """Run the command line."""
     _open_closed_streams()
     stop = StopRequest()
-    if sys.argv[1:2] in (["run"], ["compare"], ["identify"]):
+    if sys.argv[1:2] in (["run"], ["compare"], ["identify"], ["modes"]):
         # Before the imports of a second or two, in which a rank that a signal ends would leave the others waiting.
         stop.note_signals()
     with failures_as_lines(), imports_kept():

@@ -1,4 +1,4 @@
-"""``ddic compare``: a measured field beside a simulation; ``ddic identify``: the parameters of a material."""
+"""Measurements that say more than a field: ``ddic compare``, ``ddic identify`` and ``ddic modes``."""
 
 from __future__ import annotations
 
@@ -70,5 +70,25 @@ def identify(stop: StopRequest | None, case_file: Path) -> None:
         from ddic.methods.material import identify_case
 
         return identify_case(team, case_file, listener)
+
+    measure_everywhere(stop, work)
+
+
+@click.command()
+@click.argument("case_file", metavar="CASE.toml", type=click.Path(path_type=Path))
+@click.option("--number", type=click.IntRange(1), metavar="N",
+              help="How many modes there are; left out: as many as stand out from the noise.")
+@click.pass_obj
+def modes(stop: StopRequest | None, case_file: Path, number: int | None) -> None:
+    """Measure the frames of a series together, as a few fields that functions of time multiply; alone or under mpirun.
+
+    Noise of single frames averages out, and the modes take a small part of the room of all fields. The result is that
+    of the last frame, with the modes and the amplitudes of all frames.
+    """
+
+    def work(team: Team, listener: Listener) -> Summary:
+        from ddic.methods.material import measure_modes
+
+        return measure_modes(team, case_file, number, listener)
 
     measure_everywhere(stop, work)

@@ -148,12 +148,16 @@ def _weigh_all_products(n_nodes: int, dim: int, material: Material) -> Array:
     return _weigh_products(one_by_one, material).reshape(n_products, n_products)
 
 
-def assemble_stiffness(mesh: Mesh, material: Material) -> sparse.csr_matrix:
+def assemble_stiffness(mesh: Mesh, material: Material, relative: Array | None = None) -> sparse.csr_matrix:
     """Assemble K of a mesh, which acts on displacements of its nodes: the K of Eq. 9 of [BP17].
 
-    (n_dofs, n_dofs), symmetric; its null space is the rigid motions. Lengths are in pixels.
+    (n_dofs, n_dofs), symmetric; its null space is the rigid motions. Lengths are in pixels. ``relative``, (n_cells,),
+    are factors of the cells' stiffness, 1 where left out.
     """
-    return interpolate_cells(mesh).assemble_matrix(integrate_cell_stiffness(mesh, material))
+    of_cells = integrate_cell_stiffness(mesh, material)
+    if relative is not None:
+        of_cells *= relative[:, None, None]
+    return interpolate_cells(mesh).assemble_matrix(of_cells)
 
 
 def assemble_tensor_stiffness(mesh: Mesh, tensor: Array, cells: BoolArray) -> sparse.csr_matrix:
@@ -185,14 +189,14 @@ _GAP_CHUNK_CELLS = 16_000
 
 
 def controlled_stiffness(kinematics: Kinematics, material: Material, row_weights: Array,
-                         rotation: Array | None = None) -> sparse.csr_matrix:
+                         rotation: Array | None = None, relative: Array | None = None) -> sparse.csr_matrix:
     """Assemble diag(row_weights) T^T K T: Kbar = P K of Eq. 9 of [BP17], where P is among the weights.
 
     K acts on the nodes; T^T K T, (n_unknowns, n_unknowns), are the forces on the unknowns: those on tied nodes are then
     their masters', as much as these move them. ``rotation`` is R by which the specimen has turned: the stiffness is
-    then R K R^T. None stands for the identity.
+    then R K R^T. None stands for the identity. ``relative``, (n_cells,), are factors of the cells' stiffness.
     """
-    of_nodes = assemble_stiffness(kinematics.mesh, material)
+    of_nodes = assemble_stiffness(kinematics.mesh, material, relative)
     if rotation is not None:
         turn = sparse.kron(sparse.identity(kinematics.mesh.n_nodes), rotation, format="csr")
         of_nodes = (turn @ of_nodes @ turn.T).tocsr()

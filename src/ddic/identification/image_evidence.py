@@ -53,10 +53,14 @@ class ImageEvidence:
     rotation: Rotation
 
     @classmethod
-    def of_frame(cls, model: ResidualModel, measured: Field, mesh: Mesh | None) -> ImageEvidence:
-        """Take a frame that was measured; collective, ``mesh`` is the whole one on rank 0."""
+    def of_frame(cls, model: ResidualModel, measured: Field, mesh: Mesh | None, *,
+                 turned_back: bool = True) -> ImageEvidence:
+        """Take a frame that was measured; collective, ``mesh`` is the whole one on rank 0.
+
+        ``turned_back`` says whether the model knows rotations of small angles only.
+        """
         rotation = fit_rigid_motion(measured).rotation
-        if abs(rotation.angle) <= LEAST_ANGLE:
+        if abs(rotation.angle) <= LEAST_ANGLE or not turned_back:
             rotation = Rotation.none(model.subdomains[0].mesh.dim)
         # Operators of regularization have no part in it.
         images_alone = replace(model, rotation=None, filled=None, pulled=None, known=None)

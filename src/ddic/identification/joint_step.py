@@ -218,6 +218,9 @@ class ElasticModel:
         return solve
 
 
+LEAST_MOVED = 1e-12
+"""Of the largest displacement, what a step of a parameter moves by rounding alone."""
+
 LEAST_INFORMATION = 1e-12
 """Eigenvalue of the information on parameters, each in units of its own deviation, up to which two of them cannot be
 told apart."""
@@ -268,6 +271,9 @@ class FunctionModel:
         if slopes is None:
             slopes = np.stack([(self.simulate(parameters + step)[0] - self.simulate(parameters - step)[0])
                                / (2.0 * step.sum()) for step in np.diag(self.steps)])
+        moved = np.abs(slopes).reshape(len(parameters), -1).max(axis=1) * self.steps
+        for name in np.array(self.names)[moved <= LEAST_MOVED * np.abs(displacement).max()]:
+            raise InputError(f"identification: {name} moves no node; leave it out, or look at its step")
         information, gradient = np.zeros((len(parameters),) * 2), np.zeros(len(parameters))
         offsets, of_frames = [], []
         for number, frame in enumerate(frames):

@@ -72,7 +72,8 @@ def is_plain_grid(case: Case) -> bool:
         return False
     if section.circles or section.polygons or section.mask is not None:
         return False
-    is_whole = bool(case.near or case.discontinuity or case.identification is not None)
+    has_parts = case.regularization is not None and bool(case.regularization.stiffness)
+    is_whole = bool(case.near or case.discontinuity or case.identification is not None or has_parts)
     return not is_whole and case.solver.partition in ("auto", "blocks")
 
 
@@ -166,6 +167,23 @@ def share_cells(case: Case, mesh: Mesh) -> list[BoolArray]:
         raise InputError(f"identification.material: {is_free.sum()} cells are of no material; give one without a "
                          "region")
     return [is_free if material.region is None else cells for material, cells in zip(materials, found, strict=True)]
+
+
+def check_stiffness(case: Case, mesh: Mesh) -> None:
+    """Refuse, with an InputError, parts of other stiffness that hold no cell."""
+    regions = {region.name: region for region in case.region}
+    for section in () if case.regularization is None else case.regularization.stiffness:
+        if not find_cells_in(regions[section.region], mesh).any():
+            raise InputError(f'regularization.stiffness.region = "{section.region}": holds no cell; move the region '
+                             "(px), or leave it out")
+
+
+def weigh_stiffness(case: Case, mesh: Mesh) -> Array:
+    """Weigh the stiffness of cells, (n_cells,), by the regions of the regularization; 1 in no region."""
+    relative, regions = np.ones(mesh.n_cells), {region.name: region for region in case.region}
+    for section in require_held(case.regularization).stiffness:
+        relative[find_cells_in(regions[section.region], mesh)] = section.ratio
+    return relative
 
 
 def _check_pixels(section: MeshedSection, name: str) -> int:

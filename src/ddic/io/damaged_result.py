@@ -134,6 +134,7 @@ _COLUMNS = {
     schema.OPENING_DEVIATIONS: ("line", "distance_px", "sigma_tangential_px", "sigma_normal_px"),
     schema.COMPARED_REGIONS: ("region", "rms_difference_px", "chi_squared", "scatter"),
     schema.IDENTIFICATION: ("parameter", "value", "deviation", "unit"),
+    schema.TIME_MODES: ("frame", "time", "amplitude_1"),
 }
 """What others read of a table, by group."""
 

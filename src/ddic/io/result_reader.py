@@ -72,6 +72,9 @@ class Result:
         Columns of the table of a comparison with a simulation, a row a region; empty where there is none.
     identified : dict of (n,) arrays
         Columns of the table of a material's parameters; empty where none were sought.
+    time_modes : dict of (n_frames,) arrays
+        Columns of the table of a series' modes: ``frame``, ``time``, and ``amplitude_1`` ... of each frame, which
+        multiply the fields ``time_mode_1`` ...; empty where there are none.
     opening_deviations : dict of (n,) arrays
         Columns of the table of standard deviations of openings along the lines; empty where there are none.
     """
@@ -95,6 +98,7 @@ class Result:
     opening_deviations: Arrays = field(default_factory=dict)
     compared_regions: Arrays = field(default_factory=dict)
     identified: Arrays = field(default_factory=dict)
+    time_modes: Arrays = field(default_factory=dict)
 
     def __repr__(self) -> str:
         origin = "in memory" if self.path == Path() else str(self.path)
@@ -117,6 +121,19 @@ class Result:
     def n_subdomains(self) -> int:
         """Number of subdomains."""
         return len(np.unique(self.subdomain_ids))
+
+    def compute_frame(self, number: int) -> Array:
+        """Compute the displacement of a frame of a series from its modes, (n_nodes, dim), pixels.
+
+        ``number`` is from 1. Raises InputError where the result has no modes, or no such frame.
+        """
+        places = np.flatnonzero(self.time_modes.get("frame", np.zeros(0)) == number)
+        if not len(places):
+            raise InputError(f"{self.path}: has no modes with a frame {number}; measure a series by ddic modes, and "
+                             "count its frames from 1")
+        n_modes = sum(name.startswith("amplitude_") for name in self.time_modes)
+        return np.asarray(sum(self.time_modes[f"amplitude_{k}"][places[0]] * self.fields[schema.get_mode_name(k)]
+                              for k in range(1, n_modes + 1)))
 
     @property
     def fields(self) -> Arrays:
@@ -457,7 +474,8 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
     damage.require_sound_attributes(attributes)
     tables = {group: _arrays(rest, group)
               for group in (schema.GAUSS_NEWTON, schema.KRYLOV, schema.CORRECTIONS, schema.PHASES,
-                            schema.OPENING_DEVIATIONS, schema.COMPARED_REGIONS, schema.IDENTIFICATION)}
+                            schema.OPENING_DEVIATIONS, schema.COMPARED_REGIONS, schema.IDENTIFICATION,
+                            schema.TIME_MODES)}
     damage.require_sound_tables(tables)
     result = Result(
         path=path,
@@ -479,6 +497,7 @@ def read_open_file(path: Path, file: Any, *, rest: Any = None, pick: Callable[[A
         opening_deviations=tables[schema.OPENING_DEVIATIONS],
         compared_regions=tables[schema.COMPARED_REGIONS],
         identified=tables[schema.IDENTIFICATION],
+        time_modes=tables[schema.TIME_MODES],
     )
     if has_image_at_once:
         # What is computed at first use may also be put in place, whatever the class is frozen for.

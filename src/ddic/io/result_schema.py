@@ -45,7 +45,8 @@ UNCERTAINTY = "uncertainty"
 OPENING_DEVIATIONS = "uncertainty/opening"
 COMPARISON, COMPARED_REGIONS = "comparison", "comparison/regions"
 IDENTIFICATION = "identification"
-ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS, UNCERTAINTY, COMPARISON)
+TIME_MODES = "time_modes"
+ATTRIBUTE_GROUPS = (CASE, PROVENANCE, TIME, UNITS, UNCERTAINTY, COMPARISON, IDENTIFICATION)
 
 DISPLACEMENT = "displacement"
 DISPLACEMENT_MESH_UNITS = "displacement_mesh_units"
@@ -68,6 +69,7 @@ RESIDUAL_N_PIXELS = "residual_n_pixels"
 EQUIVALENT_ERROR = "equivalent_error"
 DOUBTFUL = "doubtful"
 EXCLUDED = "excluded"
+PLASTIC_STRAIN = "plastic_strain"
 SIGMA_DISPLACEMENT = ("sigma_u", "sigma_v", "sigma_w")
 """Names by axis, of which a field in the plane has the first two; so have the principal strains above."""
 REGULARIZATION_BIAS = "regularization_bias"
@@ -187,9 +189,9 @@ def nodal_strain_fields(dim: int = 2) -> tuple[FieldSpec, ...]:
     )
 
 
-def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
+def cell_fields(n_cameras: int = 1, *, plastic: bool = False) -> tuple[FieldSpec, ...]:
     """List the fields on the cells, in the order of the file; with several cameras, that of each cell too."""
-    fields = (
+    fields: tuple[FieldSpec, ...] = (
         FieldSpec(STRAIN_INFINITESIMAL, SYMMETRIC_TENSOR, np.float64, "1", "infinitesimal strain at the cell's centre"),
         FieldSpec(STRAIN_GREEN_LAGRANGE, SYMMETRIC_TENSOR, np.float64, "1",
                   "Green-Lagrange strain at the cell's centre"),
@@ -204,6 +206,9 @@ def cell_fields(n_cameras: int = 1) -> tuple[FieldSpec, ...]:
         FieldSpec(SUBDOMAIN_ID, 1, np.int32, "1", "subdomain that owns the cell"),
         FieldSpec(GLOBAL_CELL_ID, 1, np.int64, "1", "number of the cell in the whole mesh"),
     )
+    if plastic:
+        fields = (*fields, FieldSpec(PLASTIC_STRAIN, 1, np.float64, "1", "equivalent plastic strain of the "
+                                     "regularization's material, mean over the cell"))
     if n_cameras == 1:
         return fields
     return (*fields, FieldSpec(CAMERA, 1, np.int32, "1", "camera that measures the cell: 0 the far field, 1 ... near"))
@@ -234,6 +239,17 @@ def list_comparison_fields() -> tuple[FieldSpec, ...]:
     )
 
 
+def list_mode_fields(n_modes: int) -> tuple[FieldSpec, ...]:
+    """List the modes of a series at the nodes, in the order of the file."""
+    return tuple(FieldSpec(get_mode_name(number), VECTOR, np.float64, "px", "field of space that an amplitude of each "
+                           "frame multiplies") for number in range(1, n_modes + 1))
+
+
+def get_mode_name(number: int) -> str:
+    """Name a mode of a series, from 1."""
+    return f"time_mode_{number}"
+
+
 def uncertainty_cell_fields(dim: int = 2) -> tuple[FieldSpec, ...]:
     """List what is known of the errors on the cells, where the case asks for it, in the order of the file."""
     return tuple(FieldSpec(name, 1, np.float64, "1", "standard deviation that the images' noise leaves in the "
@@ -243,7 +259,7 @@ def uncertainty_cell_fields(dim: int = 2) -> tuple[FieldSpec, ...]:
 
 def list_all_fields() -> tuple[FieldSpec, ...]:
     """List all fields that a result may have, at the nodes and on the cells: in space, which has all of a plane's."""
-    return (*point_fields("px", independent=True), *nodal_strain_fields(3), *cell_fields(2),
+    return (*point_fields("px", independent=True), *nodal_strain_fields(3), *cell_fields(2, plastic=True),
             *uncertainty_point_fields(3, regularized=True), *list_comparison_fields(), *uncertainty_cell_fields(3))
 
 

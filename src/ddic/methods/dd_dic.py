@@ -173,6 +173,10 @@ class DecomposedSession(MethodSession):
         with self._clock.phase(Phase.FINISH):
             measurement = finish_measurement(problem, frame, notes, solved)
             measurement = measurement.with_notes(describe_closed_lines(problem, measurement))
+            if problem.law is not None:
+                share = problem.law.keep(measurement.q)
+                measurement = replace(measurement, plastic_strain=problem.law.find_plastic_strains())
+                measurement = measurement.with_notes((f"{share:.1%} of the region yields",))
         note_all(self._listener, measurement.notes[len(notes) + len(solved.notes):])
         return replace(measurement, independent=begin.independent)
 

@@ -1,4 +1,4 @@
-"""A measurement and what it says of the material: beside a simulation, or with parameters that are sought."""
+"""A measurement and what it says beyond its field: beside a simulation, of a material's parameters, of a series."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from ddic.case.loader import LoadedCase, load_case
-from ddic.case.named_files import list_named_files
-from ddic.case.schema import SimulationSection
+from ddic.case.named_files import list_deformed, list_named_files, list_times
+from ddic.case.schema import Case, SimulationSection
 from ddic.check.case import check_case, load_checked_case
 from ddic.errors import DdicError, InputError, as_collective
+from ddic.identification.joint_step import Model
 from ddic.inputs.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.io.input_file import FileStamps
+from ddic.mesh.mesh import Mesh
 from ddic.methods.dd_dic import DecomposedSession
 from ddic.methods.run import claimed_output, keep_failed_run, remove_failed_field, write_run
 from ddic.parallel.phases import Phase, PhaseClock
@@ -23,6 +25,7 @@ from ddic.results.comparison import compare_with_simulation
 from ddic.results.identification import identify_material
 from ddic.results.listener import Listener, note_all
 from ddic.results.measurement import Measurement
+from ddic.results.modes import find_modes
 from ddic.results.summary import Summary
 
 
@@ -37,15 +40,31 @@ def compare_case(team: Team, path: Path, simulation: Mapping[str, Any], listener
     return _run(team, loaded, listener, lambda problem, measured: compare_with_simulation(problem, measured[-1]))
 
 
-def identify_case(team: Team, path: Path, listener: Listener) -> Summary:
+def identify_case(team: Team, path: Path, listener: Listener,
+                  build: Callable[[Case, Mesh], Model] | None = None) -> Summary:
     """Measure the frames of a case and identify the material; collective, returns the summary, also written.
 
-    The result is that of the last frame. Raises DdicError on all ranks.
+    The result is that of the last frame; ``build`` makes a model of one's own on a mesh. Raises DdicError on all ranks.
     """
     loaded = team.on_root(lambda: load_checked_case(path, team.size))
-    if loaded.case.identification is None:
+    if loaded.case.identification is None and build is None:
         raise as_collective(InputError(f"{path}: identification: this section is missing; it says which law is sought"))
-    return _run(team, loaded, listener, identify_material)
+    return _run(team, loaded, listener, lambda problem, measured: identify_material(problem, measured, build))
+
+
+def measure_modes(team: Team, path: Path, n_modes: int | None, listener: Listener) -> Summary:
+    """Measure the frames of a series together, as few modes; collective, returns the summary, also written.
+
+    The result is that of the last frame, with the modes. ``n_modes`` is found from the noise where it is None. Raises
+    DdicError on all ranks.
+    """
+    loaded = team.on_root(lambda: load_checked_case(path, team.size))
+    case, n_frames = loaded.case, len(list_deformed(loaded.case.imaging))
+    if n_frames < 1 + (n_modes or 2):
+        raise as_collective(InputError(f"{path}: images.deformed: {n_frames} images are too few for modes of a series; "
+                                       "name more of them, or ask for fewer modes"))
+    return _run(team, loaded, listener,
+                lambda problem, measured: find_modes(problem, measured, list_times(case), n_modes))
 
 
 def _load_with_simulation(path: Path, given: Mapping[str, Any], n_ranks: int) -> LoadedCase:
@@ -70,6 +89,7 @@ Look = Callable[[WeightedProblem, Sequence[Measurement]], Measurement]
 
 def _run(team: Team, loaded: LoadedCase, listener: Listener, look: Look) -> Summary:
     """Measure, look at the material, and write; what fails leaves what ``run_pair`` leaves; collective."""
+    _refuse_what_run_alone_knows(loaded)
     output, start = loaded.case.output, loaded.case.start.from_result
     clock = PhaseClock(entered=listener.phase, advanced=listener.progress, waiting=team.waiting)
     with claimed_output(team, output.file):
@@ -81,6 +101,18 @@ def _run(team: Team, loaded: LoadedCase, listener: Listener, look: Look) -> Summ
         summary = write_run(measurement, clock, output.file, noise_floor)
         remove_failed_field(team, output.file, start)
     return summary
+
+
+def _refuse_what_run_alone_knows(loaded: LoadedCase) -> None:
+    """Refuse, with an InputError on all ranks, kinematics and laws with which nothing more than a field is measured."""
+    case = loaded.case
+    is_plastic = case.regularization is not None and case.regularization.yield_strain is not None
+    for what, is_given in {"[[near]]": bool(case.near), "[[discontinuity]]": bool(case.discontinuity),
+                           "[pgd]": case.pgd is not None, "regularization.yield_strain": is_plastic,
+                           "series.groups": case.series.groups > 1,
+                           "series.incremental": case.series.incremental != "never"}.items():
+        if is_given:
+            raise as_collective(InputError(f"{loaded.path}: {what} goes with ddic run alone; leave it out"))
 
 
 def _measure(team: Team, loaded: LoadedCase, listener: Listener, clock: PhaseClock,

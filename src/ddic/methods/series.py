@@ -22,6 +22,7 @@ from ddic.case.named_files import list_cameras, list_deformed, list_times
 from ddic.errors import (
     ConvergenceError,
     DdicError,
+    InputError,
     SingularSubdomainError,
     StoppedError,
     as_collective,
@@ -35,6 +36,7 @@ from ddic.io.result_writer import ResultWriter
 from ddic.io.series_writer import BackgroundWriter, FrameState, ReadAhead, SeriesFolder, join_frames
 from ddic.methods.dd_dic import DecomposedSession
 from ddic.methods.fe_dic import measure_and_look
+from ddic.parallel.field import Field
 from ddic.parallel.phases import Phase, PhaseClock
 from ddic.parallel.stop_request import StopRequest, is_stop_asked
 from ddic.parallel.team import Team, require_held
@@ -167,10 +169,17 @@ def _begin(images: _SeriesImages, before: Sequence[FrameRecord], folder: SeriesF
     lines, reference = measured[-1].lines, measured[-1].reference
     # Fields on a mesh that other lines cut do not help.
     known = [record.number for record in measured[-N_STATES:] if record.lines == lines]
-    needed = {*known, reference} - {0}
+    section = images.opener.inputs.case.regularization
+    history = [] if section is None or section.yield_strain is None else [record.number for record in measured]
+    needed = {*known, *history, reference} - {0}
     stored = images.team.on_root(lambda: {number: folder.read_state(number) for number in needed})
     session = _ReferenceSession.prepare(images, lines)
     states = _collect_states(session.session.problem, [stored[number] for number in known])
+    try:
+        _repeat_history(session.session.problem, [stored[number] for number in history])
+    except BaseException:
+        session.close()
+        raise
     if not states or not reference:
         return _FramesSoFar(session, records, states)
     record = next(record for record in measured if record.number == reference)
@@ -287,6 +296,20 @@ def _collect_states(problem: WeightedProblem, states: Sequence[FrameState]) -> l
         return []
     return [replace(state, unknowns={subdomain.index: state.unknowns[subdomain.index] for subdomain in subdomains})
             for state in states]
+
+
+def _repeat_history(problem: WeightedProblem, states: Sequence[FrameState]) -> None:
+    """Put a plastic material through the frames that an earlier run has measured; collective.
+
+    Raises InputError on all ranks, where the subdomains are others.
+    """
+    taken = _collect_states(problem, states)
+    if len(taken) < len(states):
+        raise as_collective(InputError("--resume: the plastic strains so far are known by subdomain, and these are "
+                                       "others now; resume on as many ranks as before, or measure all frames again"))
+    subdomains = problem.reference.subdomains
+    for state in taken:
+        require_held(problem.law).keep(Field(problem.team, subdomains, [state.unknowns[s.index] for s in subdomains]))
 
 
 def _choose_start(wanted: str, states: Sequence[FrameState], time: float) -> tuple[str, Mapping[int, Array] | None]:

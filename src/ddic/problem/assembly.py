@@ -25,7 +25,7 @@ from ddic.functionals.regularization import (
 )
 from ddic.functionals.view import FrameView, View
 from ddic.images.binned import Blur
-from ddic.inputs.mesh_source import NO_INNER_NODE
+from ddic.inputs.mesh_source import NO_INNER_NODE, weigh_stiffness
 from ddic.mesh.mesh import sum_about_nodes
 from ddic.mesh.rotation import Rotation
 from ddic.parallel.field import ByView, Field
@@ -118,7 +118,8 @@ def assemble(team: Team, reference: ReferenceProblem, weights: Sequence[float], 
 
     def set_up(subdomain: Subdomain, hessian: sparse.csr_matrix) -> LocalSystem:
         of_rows = interface_weights(subdomain.multiplicity, case.solver.weighting)
-        stiffness = controlled_stiffness(subdomain.kinematics, material, of_rows, rotation)
+        relative = weigh_stiffness(case, subdomain.mesh) if section.stiffness else None
+        stiffness = controlled_stiffness(subdomain.kinematics, material, of_rows, rotation, relative)
         if subdomain.n_motion:
             # A camera's motion is no displacement of matter, hence in no equilibrium.
             of_motion = sparse.csr_matrix((stiffness.shape[0], subdomain.n_motion))

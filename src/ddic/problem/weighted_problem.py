@@ -19,10 +19,12 @@ from ddic.parallel.team import Team
 from ddic.problem.added_forces import LEAST_ANGLE, HeldRotation, choose_stiffness_rotation, fit_rigid_motion
 from ddic.problem.assembly import AssembledFrom, assemble, describe_lost_pixels, find_renewal, find_unseen_unknowns
 from ddic.problem.linear_solver import LinearSolver
+from ddic.problem.material_law import LawStep, build_law
 from ddic.problem.reference_problem import ReferenceProblem, weigh_cameras
 from ddic.problem.region_mesh import compute_cut_off_wavelength, describe_cut_off
 from ddic.problem.residual_model import ResidualModel, open_frame_views
 from ddic.solvers.correction_size import Tolerances
+from ddic.solvers.linear_step import LinearStep
 from ddic.solvers.local_system import describe_lost
 
 
@@ -46,6 +48,8 @@ class WeightedProblem:
         Of each camera, grey levels; empty with one camera, and before it is known.
     n_assembled : int
         Times that M_s of an owned subdomain was assembled.
+    law : FollowedLaw or None
+        What the material has been through, where it is plastic.
     """
 
     def __init__(self, team: Team, reference: ReferenceProblem, clock: PhaseClock, *,
@@ -59,6 +63,7 @@ class WeightedProblem:
         self._assembled_from = AssembledFrom.all_of(reference.subdomains, reference.views)
         # By which the stiffness is turned.
         self._stiffness_rotation = Rotation.none(reference.subdomains[0].mesh.dim)
+        self.law = build_law(team, reference.inputs, reference.subdomains)
         # Whether a frame has changed M or K.
         self._is_changed = False
         cameras = reference.inputs.cameras
@@ -92,6 +97,11 @@ class WeightedProblem:
         if self._solver is None:
             raise RuntimeError("the noise of the cameras is not known yet")
         return self._solver
+
+    @property
+    def step(self) -> LinearStep:
+        """The linear step of Gauss-Newton."""
+        return self.solver.step if self.law is None else LawStep(self.law, self.solver)
 
     @cached_property
     def size(self) -> ProblemSize:
@@ -151,9 +161,10 @@ class WeightedProblem:
         if of_stiffness is not self._stiffness_rotation:
             self._turn_stiffness(of_stiffness)
             notes = (f"the stiffness is turned by {np.rad2deg(of_stiffness.angle):.1f} degrees",)
-        elif (abs(angle) > LEAST_ANGLE) == (model.rotation is not None):
+        elif self.law is not None or (abs(angle) > LEAST_ANGLE) == (model.rotation is not None):
             return model, ()
-        if abs(angle) <= LEAST_ANGLE:
+        if abs(angle) <= LEAST_ANGLE or self.law is not None:
+            # A law knows any rotation.
             return replace(model, rotation=None), notes
         note = f"the region has turned by {np.rad2deg(angle):.2f} degrees: the equilibrium gap is that of what is left"
         return replace(model, rotation=HeldRotation(self.team, self.solver.assembly.systems)), (*notes, note)

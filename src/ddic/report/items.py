@@ -371,7 +371,7 @@ def _list_regularization(gathered: Gathered) -> Items:
                            for name in ("shear", "longitudinal"))
     of_gap = section.get("operator") == "equilibrium_gap"
     items = [
-        ("Operator", "equilibrium gap (forces out of balance in an elastic body)" if of_gap else
+        ("Operator", f"equilibrium gap (forces out of balance in {_describe_body(section)})" if of_gap else
                      "Tikhonov (gradient of the displacement)"),
         ("Regularisation length", f"cut-off wavelength {length:g} px" if length else "none: the weight is given"),
         ("Weight eta", f"{eta:.4g}" if eta is not None else NOT_RECORDED),
@@ -383,6 +383,14 @@ def _list_regularization(gathered: Gathered) -> Items:
         items += [("Material", _describe_material(section, plane)),
                   ("Not controlled", ", ".join(section.get("not_controlled", ())) or "none")]
     return items
+
+
+def _describe_body(section: Mapping[str, Any]) -> str:
+    """What the forces are those of; a case of long ago knows elasticity alone."""
+    strain, parts = section.get("yield_strain"), section.get("stiffness") or ()
+    body = "an elastic body" if strain is None else (f"a plastic body, yield stress {strain:g} E, hardening "
+                                                     f"{section['hardening_ratio']:g} E")
+    return body + "".join(f"; {part['region']}: {part['ratio']:g} times as stiff" for part in parts)
 
 
 def _describe_material(section: Mapping[str, Any], plane: str) -> str:

@@ -157,7 +157,8 @@ def write_pieces(measurement: Measurement, writer: ResultWriter | None) -> None:
     length_unit = None if images.pixel_size is None else images.length_unit
     at_points = (*schema.point_fields(length_unit, independent=measurement.independent is not None),
                  *schema.nodal_strain_fields(dim))
-    on_cells = schema.cell_fields(len(measurement.cameras))
+    at_points += () if measurement.modes is None else schema.list_mode_fields(len(measurement.modes.fields))
+    on_cells = schema.cell_fields(len(measurement.cameras), plastic=measurement.plastic_strain is not None)
     uncertainty = measurement.uncertainty
     if uncertainty is not None:
         at_points = (*at_points, *schema.uncertainty_point_fields(dim, regularized=uncertainty.bias is not None))
@@ -236,6 +237,11 @@ def _point_data(measurement: Measurement, drawn: DrawnMesh, number: int, u: Arra
             data |= dict(zip(names, drawn.interpolate(values).T, strict=True))
         if uncertainty.bias is not None:
             data[schema.REGULARIZATION_BIAS] = drawn.interpolate(uncertainty.bias[number])
+    if measurement.modes is not None:
+        is_out = measurement.unmeasured[number][:, None]
+        data |= {schema.get_mode_name(k): drawn.interpolate(
+                     np.where(is_out, np.nan, of_mode.displacements[number].reshape(len(is_out), -1)))
+                 for k, of_mode in enumerate(measurement.modes.fields, start=1)}
     if measurement.comparison is not None:
         compared = measurement.comparison
         data |= {name: drawn.interpolate(of_subdomains[number])
@@ -262,6 +268,8 @@ def _cell_data(measurement: Measurement, number: int) -> dict[str, NDArray[Any]]
     }
     if len(measurement.cameras) > 1:
         data[schema.CAMERA] = np.full(n_cells, subdomain.camera, dtype=np.int32)
+    if measurement.plastic_strain is not None:
+        data[schema.PLASTIC_STRAIN] = measurement.plastic_strain[number]
     if measurement.uncertainty is not None:
         deviations = measurement.uncertainty.deviations[number].cell_strain
         data |= dict(zip(schema.list_cell_sigma_strains(subdomain.mesh.dim), deviations.T, strict=True))
@@ -315,7 +323,12 @@ def write_tables(measurement: Measurement, writer: ResultWriter) -> None:
         writer.write_attributes(schema.COMPARISON, measurement.comparison.origin)
         writer.write_table(schema.COMPARED_REGIONS, measurement.comparison.regions)
     if measurement.identification is not None:
-        writer.write_table(schema.IDENTIFICATION, measurement.identification.table)
+        found = measurement.identification
+        writer.write_table(schema.IDENTIFICATION, found.table)
+        writer.write_attributes(schema.IDENTIFICATION, {"iterations": found.n_iterations,
+                                                        "iterations_of_fields": found.n_iterations_of_fields})
+    if measurement.modes is not None:
+        writer.write_table(schema.TIME_MODES, measurement.modes.table)
     if measurement.detection is not None:
         writer.write_arrays(schema.DETECTION, measurement.detection.to_arrays())
     for motion in measurement.motions:

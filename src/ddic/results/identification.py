@@ -6,7 +6,7 @@ identified law agrees with the measured field.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from ddic.case.schema import Case, ForceSection, IdentificationSection, Material
 from ddic.comparison.placement import PlacedField
 from ddic.identification.identify import FieldEvidence, correct_once, identify
 from ddic.identification.image_evidence import ImageEvidence
-from ddic.identification.joint_step import ElasticModel, MeasuredForce
+from ddic.identification.joint_step import ElasticModel, MeasuredForce, Model
 from ddic.identification.laws import ElasticBody, ElasticLaw, LawOnCells
 from ddic.inputs.mesh_source import share_cells
 from ddic.mesh.mesh import Mesh
@@ -90,31 +90,37 @@ class Identification:
         return tuple(lines)
 
 
-def identify_material(problem: WeightedProblem, measurements: Sequence[Measurement]) -> Measurement:
+def identify_material(problem: WeightedProblem, measurements: Sequence[Measurement],
+                      build: Callable[[Case, Mesh], Model] | None = None) -> Measurement:
     """Identify the parameters that a case asks for, from one frame or several; collective.
 
-    ``problem`` has measured the frames, with the operators that found the last one. Returns the measurement of that one
-    with the parameters, its comparison with the law that was found, and notes. Raises InputError or ConvergenceError
-    on all ranks, where they are not found.
+    ``problem`` has measured the frames, with the operators that found the last one; ``build`` makes the model on a
+    mesh, by default that of the case. Returns the measurement of the last frame with the parameters, its comparison
+    with the law that was found, and notes. Raises InputError or ConvergenceError on all ranks, where they are not
+    found.
     """
+    is_own = build is not None
+    build = build or build_model
     team, last = problem.team, measurements[-1]
     case = last.inputs.case
-    section = require_held(case.identification)
     mesh = team.build_on_root(lambda: last.inputs.build_mesh()[0])
-    model = team.build_on_root(lambda: build_model(case, require_held(mesh)))
-    frames = [ImageEvidence.of_frame(of_frame.model, of_frame.q, mesh) for of_frame in measurements]
+    model = team.build_on_root(lambda: build(case, require_held(mesh)))
+    frames = [ImageEvidence.of_frame(of_frame.model, of_frame.q, mesh, turned_back=not is_own)
+              for of_frame in measurements]
     sigma = float(np.sqrt(np.mean([_find_noise(problem, of_frame) ** 2 for of_frame in measurements])))
     fields = [FieldEvidence(frame.gather_hessian(), frame.gather_measured()) for frame in frames]
     of_fields = identify(team, model, fields, sigma)
     found = identify(team, model, frames, sigma, of_fields)
 
     refined = team.build_on_root(lambda: refine(require_held(mesh)))
-    fine_model = team.build_on_root(lambda: build_model(case, require_held(refined).mesh))
+    fine_model = team.build_on_root(lambda: build(case, require_held(refined).mesh))
     on_fine = replace(found, u=None if found.u is None else [require_held(refined).interpolate(u) for u in found.u])
     halved = correct_once(team, fine_model, [frame.refine(refined) for frame in frames], sigma, on_fine)
 
-    unit = f"N / {case.imaging.length_unit}2" if section.force else "relative"
-    units = [unit if name.rpartition(".")[2] in MODULI else "degrees" if "angle" in name else "1"
+    section = case.identification
+    unit = f"N / {case.imaging.length_unit}2" if section is not None and section.force else "relative"
+    # What a model of one's own calls its parameters tells nothing of their unit.
+    units = ["1" if is_own else unit if name.rpartition(".")[2] in MODULI else "degrees" if "angle" in name else "1"
              for name in found.names]
     identification = Identification(found.names, found.values, found.deviations, found.correlations, of_fields.values,
                                     halved.values - found.values, found.n_iterations, of_fields.n_iterations, units)

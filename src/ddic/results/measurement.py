@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from ddic.results.comparison import Comparison
     from ddic.results.field_uncertainty import FieldUncertainty
     from ddic.results.identification import Identification
+    from ddic.results.modes import TimeModes
 
 
 LEAST_USED = 0.5
@@ -113,6 +114,10 @@ class Measurement:
         Parameters of the material, where they were sought.
     detection : Detection or None
         What was seen where lines were looked for in this frame.
+    modes : TimeModes or None
+        Of the series of which this is the last frame, where its frames were measured together.
+    plastic_strain : list of (n_cells,) array, or None
+        Equivalent plastic strain of the cells of each, up to this frame, where the material is plastic.
     independent : list of (n_dofs,) array, or None
         What each owned subdomain measured by itself, pixels, where the case asks for it.
     """
@@ -142,6 +147,8 @@ class Measurement:
     comparison: Comparison | None = None
     identification: Identification | None = None
     detection: Detection | None = None
+    modes: TimeModes | None = None
+    plastic_strain: list[Array] | None = None
     independent: list[Array] | None = None
 
     @property

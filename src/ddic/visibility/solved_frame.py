@@ -213,7 +213,7 @@ def solve_further(problem: WeightedProblem, solved: SolvedFrame, progress: Progr
 
     def run(model: Model, pause: Pause | None, mixing: AndersonMixing | None = mixing) -> Solution:
         on = replace(progress, n_before=len(before.records) + len(found.records), is_local=model is not used)
-        went_on = run_gauss_newton(model, found.q, problem.solver.step, tolerances, on, pause, mixing)
+        went_on = run_gauss_newton(model, found.q, problem.step, tolerances, on, pause, mixing)
         return replace(went_on, records=[*found.records, *went_on.records])
 
     slow: SlowNodes | None = None
