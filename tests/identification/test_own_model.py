@@ -55,6 +55,19 @@ def test_a_function_of_the_mesh_is_fitted_to_the_images(case: Path) -> None:
     assert (np.abs(table["by_fields"] - table["value"]) < 0.2 * table["deviation"]).all()
 
 
+def test_derivatives_that_are_given_do_what_differences_do(case: Path) -> None:
+    def with_slopes(mesh: ddic.Mesh, parameters: Array) -> tuple[Array, Array]:
+        (nu, strain, _, _), (x, y) = parameters, (mesh.nodes - 64.0).T
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        slopes = [(-strain * x, zero), (-nu * x, y), (one, zero), (zero, one)]
+        return _stretch(mesh, parameters), np.stack([np.column_stack(of_one) for of_one in slopes])
+
+    given, differences = (ddic.identify(case, model, START).identified for model in (with_slopes, _stretch))
+    # The model is bilinear: central differences are exact but for rounding.
+    np.testing.assert_allclose(given["value"], differences["value"], rtol=1e-9)
+    np.testing.assert_allclose(given["deviation"], differences["deviation"], rtol=1e-6)
+
+
 def test_a_rotation_is_the_models_own(tmp_path: Path) -> None:
     """Three degrees: the regularization and built-in laws take them off, a model of one's own holds them."""
     turn = np.deg2rad(3.0)

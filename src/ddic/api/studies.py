@@ -44,6 +44,9 @@ from ddic.results.sweep import Candidate, Sweep
 from ddic.solvers.local_system import MonolithicStep
 from ddic.solvers.probing import estimate_noise_rms
 
+Simulate = Callable[[Mesh, Array], Array | tuple[Array, Array]]
+"""A model: from a mesh and parameters to displacements of nodes, or to these and their derivatives."""
+
 N_FRAMES = 3
 """Images that each candidate measures: the case's, and the virtual ones."""
 
@@ -383,7 +386,7 @@ def _measure_errors(pair: tuple[NDArray[Any], NDArray[Any]], size: float, settin
     return float(np.nanmean(error)), float(np.nanstd(error, axis=0).mean())
 
 
-def identify(case: str | Path, simulate: Callable[[Mesh, Array], Array] | None = None,
+def identify(case: str | Path, simulate: Simulate | None = None,
              start: Mapping[str, float] | None = None, *, step: float = 1e-3) -> Result:
     """Identify parameters from the images of a case, by its own law or by a model of one's own; collective.
 
@@ -393,7 +396,8 @@ def identify(case: str | Path, simulate: Callable[[Mesh, Array], Array] | None =
         The case file. Without ``simulate`` its section ``[identification]`` says the law.
     simulate : callable, optional
         From the mesh and the parameters, (n_parameters,), to the displacement of its nodes, pixels: (n_nodes, dim), or
-        (n_frames, n_nodes, dim) of a series; called on rank 0, also with a mesh of half the size. What acts on the
+        (n_frames, n_nodes, dim) of a series; or to that and its derivatives by each parameter, (n_parameters, n_nodes,
+        dim), which differences give otherwise. Called on rank 0, also with a mesh of half the size. What acts on the
         specimen, displacements of its edges for instance, are among the parameters, or held by the function.
     start : mapping of float, optional
         Values from which its parameters are sought, by name, in their order.
@@ -417,15 +421,13 @@ def identify(case: str | Path, simulate: Callable[[Mesh, Array], Array] | None =
 
     def build(case: Case, mesh: Mesh) -> FunctionModel:
         n_frames, values = len(list_deformed(case.imaging)), np.array(list(given.values()))
-        wanted = (n_frames, *mesh.nodes.shape)
 
-        def solve(parameters: Array) -> tuple[Array, None]:
-            # A copy: it may be one place that the function fills again and again.
-            found = np.array(require_held(simulate)(mesh, parameters), np.float64)
-            if found.shape not in (wanted, wanted[1:] if n_frames == 1 else wanted) or not np.isfinite(found).all():
-                raise InputError(f"ddic.identify: simulate gave an array of shape {found.shape}; {wanted}, all finite, "
-                                 "is expected")
-            return found.reshape(wanted), None
+        def solve(parameters: Array) -> tuple[Array, Array | None]:
+            found = require_held(simulate)(mesh, parameters)
+            u, slopes = found if isinstance(found, tuple) else (found, None)
+            of_frames = (n_frames, *mesh.nodes.shape)
+            return (_require_shape(u, of_frames),
+                    None if slopes is None else _require_shape(slopes, (len(values), *of_frames)))
 
         return FunctionModel(list(given), values, solve, step * np.where(values == 0.0, 1.0, np.abs(values)))
 
@@ -433,7 +435,17 @@ def identify(case: str | Path, simulate: Callable[[Mesh, Array], Array] | None =
     return read_result(Path(summary.result_file))
 
 
-def _check_model(simulate: Callable[[Mesh, Array], Array] | None, start: Mapping[str, float] | None,
+def _require_shape(given: Array, shape: tuple[int, ...]) -> Array:
+    """What a model gave, a copy: it may fill one place again and again. Raises InputError for another shape."""
+    found, is_one_frame = np.array(given, np.float64), shape[-3] == 1
+    without_frames = (*shape[:-3], *shape[-2:])
+    if found.shape not in ((shape, without_frames) if is_one_frame else (shape,)) or not np.isfinite(found).all():
+        raise InputError(f"ddic.identify: simulate gave an array of shape {found.shape}; {shape}, all finite, is "
+                         "expected")
+    return found.reshape(shape)
+
+
+def _check_model(simulate: Simulate | None, start: Mapping[str, float] | None,
                  step: float) -> dict[str, float]:
     """The start of a model of one's own; empty without one. Raises InputError for what is none."""
     if (simulate is None) != (not start):
