@@ -42,12 +42,12 @@ NOISE = 2.0
 """Grey levels of 8 bit."""
 
 
-def _run(command: str, folder: Path, name: str, text: str, n_ranks: int = 1) -> Result:
-    """Run a command of ddic on a case, and read its result."""
+def _run(command: str, folder: Path, name: str, text: str, n_ranks: int = 1) -> Path:
+    """Run a command of ddic on a case; where its result is."""
     path = folder / f"{name}.toml"
     path.write_text(f'{text}\n[output]\nfile = "{name}.vtkhdf"\n', encoding="utf-8")
     mpirun(n_ranks, ddic_command(), command, str(path))
-    return read_result(folder / f"{name}.vtkhdf") if command != "run" else None  # type: ignore[return-value]
+    return folder / f"{name}.vtkhdf"
 
 
 def _write_pair(folder: Path, field: DisplacementField, size: int, noise: float, seed: int = 0,
@@ -164,9 +164,9 @@ def _make_plate(folder: Path, plate: tuple[float, float, int, int, float], noise
     _write_rings(folder / "rings.inp", *plate)
 
 
-def _read_parameters(result: Result) -> dict[str, tuple[float, float, float]]:
+def _read_parameters(path: Path) -> dict[str, tuple[float, float, float]]:
     """Value, standard deviation and FEMU's value by parameter."""
-    table = result.identified
+    table = read_result(path).identified
     return {name.decode(): (float(value), float(deviation), float(by_fields)) for name, value, deviation, by_fields
             in zip(table["parameter"], table["value"], table["deviation"], table["by_fields"], strict=True)}
 
@@ -187,8 +187,7 @@ def measure_hole(scale: Scale) -> list[Row]:
     plate = SMALL if scale.smoke else (480.0, 160.0, 320, 60, 1.017)
     _, radius, around, out, _ = plate
     _make_plate(folder, plate, 0.0)
-    result = _run("identify", folder, "exact", PAIR + RINGS + QUINTIC + FAR_OFF)
-    errors = _find_errors(_read_parameters(result))
+    errors = _find_errors(_read_parameters(_run("identify", folder, "exact", PAIR + RINGS + QUINTIC + FAR_OFF)))
     return [Row(f"Lekhnitskii's hole of {radius:g} px, E1 / E2 = 5, fibres at 30 degrees, no noise, quintic, {around} "
                 f"x {out} Q4 in rings: errors", _say(ALLOWED_EXACT), _say(errors),
                 all(abs(errors[name]) <= most for name, most in ALLOWED_EXACT.items()), judged_small=False)]
@@ -227,7 +226,7 @@ def measure_iterations(scale: Scale) -> list[Row]:
     """Count the iterations of both from 20 % off, on the command's own log."""
     folder = scale.folder("identify_iterations")
     _make_plate(folder, SMALL if scale.smoke else LARGE, NOISE)
-    result = _run("identify", folder, "iterations", PAIR + RINGS + FAR_OFF)
+    result = read_result(_run("identify", folder, "iterations", PAIR + RINGS + FAR_OFF))
     counts = [int(result.attributes["identification"][name]) for name in ("iterations_of_fields", "iterations")]
     return [Row("iterations from -20, +20 and -20 %: FEMU, then integrated DIC", f"<= {MOST_ITERATIONS} each",
                 ", ".join(map(str, counts)), max(counts) <= MOST_ITERATIONS)]
@@ -323,7 +322,7 @@ def _measure_levelled(scale: Scale, speckle: float, width: str) -> list[Row]:
             x, y = np.meshgrid(np.arange(float(size)), np.arange(float(size)))
             at_pixels = WAVES.displacement(np.column_stack([x.ravel(), y.ravel()])).reshape(size, size, 2)
             tifffile.imwrite(folder / "g.tif", render_virtual_image(tifffile.imread(folder / "f.tif"), at_pixels))
-        result = _run("compare", folder, name, text)
+        result = read_result(_run("compare", folder, name, text))
         off = result.point_data["simulation_difference"][:, :2]
         strains = _find_strains(result, off)
         inner = np.all((result.mesh.nodes > low) & (result.mesh.nodes < high), axis=1)
@@ -363,7 +362,7 @@ def measure_wrong_law(scale: Scale) -> list[Row]:
     _make_plate(folder, SMALL if scale.smoke else LARGE, NOISE)
     chi = {}
     for name, law in (("isotropic", ISOTROPIC), ("orthotropic", FAR_OFF)):
-        result = _run("identify", folder, name, PAIR + RINGS + law)
+        result = read_result(_run("identify", folder, name, PAIR + RINGS + law))
         chi[name] = float(result.compared_regions["chi_squared"][0]), float(result.compared_regions["scatter"][0])
     (wrong, _), (right, scatter) = chi["isotropic"], chi["orthotropic"]
     return [Row(f"chi^2 of laws on an orthotropic plate, {NOISE:g} grey levels",
@@ -458,8 +457,7 @@ def measure_neck(scale: Scale) -> list[Row]:
             "[regularization]\ncut_off_wavelength = 128\n")
     errors = {}
     for name, keys in (("elastic", ""), ("plastic", "yield_strain = 0.002\nhardening_ratio = 0.02\n")):
-        _run("run", folder, name, text + keys)
-        errors[name] = _rms(_measure_series_errors(folder / f"{name}.vtkhdf", fields))
+        errors[name] = _rms(_measure_series_errors(_run("run", folder, name, text + keys), fields))
     share = errors["plastic"] / errors["elastic"]
     return [Row(f"a strip that necks, {n_frames} frames, {NOISE:g} grey levels, 8-px Q4, l_c = 128 px: RMS error with "
                 "the plastic law over that with elasticity", "<= 0.5",
@@ -483,13 +481,13 @@ def measure_modes(scale: Scale) -> list[Row]:
         times = np.arange(1, n_frames + 1) / n_frames
         fields = [TwoModes((float(a), float(b))) for a, b in zip(first(times), second(times), strict=True)]
         _write_series(folder, fields, (161, 161), NOISE)
-        result = _run("modes", folder, "modes", text)
-        _run("run", folder, "single", text)
+        modes, single = (_run(command, folder, command, text) for command in ("modes", "run"))
+        result = read_result(modes)
         together = np.concatenate([(result.compute_frame(k) - field.displacement(result.mesh.nodes)).ravel()
                                    for k, field in enumerate(fields, start=1)])
         rank = sum(key.startswith("amplitude_") for key in result.time_modes)
-        share = _rms(together) / _rms(_measure_series_errors(folder / "single.vtkhdf", fields))
-        less = (folder / "single.vtkhdf").stat().st_size / (folder / "modes.vtkhdf").stat().st_size
+        share = _rms(together) / _rms(_measure_series_errors(single, fields))
+        less = single.stat().st_size / modes.stat().st_size
         rows.append(Row(f"{name}, {n_frames} frames of two modes, {NOISE:g} grey levels, 8-px Q4: modes, RMS error "
                         "over that of single frames, size of the files", "2; <= 0.5; 10 times less",
                         f"{rank}; {share:.2f}; {less:.0f} times less", rank == 2 and share <= 0.5 and less >= 10,
@@ -504,7 +502,7 @@ def measure_openhole(scale: Scale) -> list[Row]:
     folder, data = scale.folder("identify_openhole"), real_data() / "openhole"
     folder.mkdir(parents=True, exist_ok=True)
     reference, deformed = (data / f"zoom-00{number}_1.tif" for number in (53, 66))
-    result = _run("identify", folder, "openhole", f"""[images]
+    path = _run("identify", folder, "openhole", f"""[images]
 reference = "{reference}"
 deformed = "{deformed}"
 [mesh]
@@ -516,9 +514,9 @@ law = "orthotropic"
 angle_degrees = 90
 """)
     said = ", ".join(f"{name} = {value:.3g} +- {deviation:.2g}"
-                     for name, (value, deviation, _) in _read_parameters(result).items())
-    chi = float(result.compared_regions["chi_squared"][0])
-    is_known = all(np.isfinite(deviation) for _, deviation, _ in _read_parameters(result).values())
+                     for name, (value, deviation, _) in _read_parameters(path).items())
+    chi = float(read_result(path).compared_regions["chi_squared"][0])
+    is_known = all(np.isfinite(deviation) for _, deviation, _ in _read_parameters(path).values())
     return [Row(f"real open hole, {reference.stem} to {deformed.stem}, axis 1 along the strip, E2 = 1", "printed, with "
                 "standard deviations, residual map", f"{said}; chi^2 {chi:.1f}",
                 is_known and (folder / "openhole.residual.vtkhdf").is_file())]
