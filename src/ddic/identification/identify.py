@@ -16,7 +16,7 @@ from scipy import sparse
 
 from ddic.arrays import Array
 from ddic.errors import ConvergenceError, as_collective
-from ddic.identification.joint_step import FrameTerms, Model
+from ddic.identification.joint_step import FrameTerms, MaterialModel
 from ddic.parallel.team import Team, require_held
 
 MOST_ITERATIONS = 30
@@ -32,7 +32,7 @@ MOST_HALVINGS = 20
 """Times that a correction is halved until there may be such a material."""
 
 
-class Evidence(Protocol):
+class FrameEvidence(Protocol):
     """What a frame says of a displacement of the whole mesh; every call is collective, arrays are rank 0's."""
 
     def gather_hessian(self) -> sparse.csr_matrix | None:
@@ -47,7 +47,7 @@ class Evidence(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FieldEvidence:
-    """A measured field in the place of images; an ``Evidence`` for rank 0 alone.
+    """A measured field in the place of images; an ``FrameEvidence`` for rank 0 alone.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Identified:
         return np.asarray(self.covariance / np.outer(self.deviations, self.deviations))
 
 
-def identify(team: Team, model: Model | None, frames: Sequence[Evidence], sigma: float,
+def identify(team: Team, model: MaterialModel | None, frames: Sequence[FrameEvidence], sigma: float,
              begin: Identified | None = None) -> Identified:
     """Find the parameters of a model from frames; collective.
 
@@ -118,9 +118,9 @@ def identify(team: Team, model: Model | None, frames: Sequence[Evidence], sigma:
     ----------
     team : Team
         All ranks.
-    model : Model or None
+    model : MaterialModel or None
         What displacements there may be; rank 0's counts.
-    frames : sequence of Evidence
+    frames : sequence of FrameEvidence
         What each frame says.
     sigma : float
         Standard deviation of the noise of both images, grey levels.
@@ -146,13 +146,13 @@ def identify(team: Team, model: Model | None, frames: Sequence[Evidence], sigma:
     raise as_collective(ConvergenceError(f"identification: parameters are not found in {MOST_ITERATIONS} iterations"))
 
 
-def correct_once(team: Team, model: Model | None, frames: Sequence[Evidence], sigma: float,
+def correct_once(team: Team, model: MaterialModel | None, frames: Sequence[FrameEvidence], sigma: float,
                  begin: Identified) -> Identified:
     """Take one iteration from what was found otherwise, as ``identify`` does; collective."""
     return _iterate(team, model, frames, _share_equal([frame.gather_hessian() for frame in frames]), sigma, begin)[0]
 
 
-def _begin(team: Team, model: Model | None, frames: Sequence[Evidence]) -> Identified:
+def _begin(team: Team, model: MaterialModel | None, frames: Sequence[FrameEvidence]) -> Identified:
     """The model's start, and the measured fields."""
     measured = [frame.gather_measured() for frame in frames]
     names, values = team.on_root(lambda: (list(require_held(model).names), require_held(model).start))
@@ -160,7 +160,7 @@ def _begin(team: Team, model: Model | None, frames: Sequence[Evidence]) -> Ident
     return Identified(names, values, unknown, [require_held(u) for u in measured] if team.is_root else None, 0)
 
 
-def _iterate(team: Team, model: Model | None, frames: Sequence[Evidence],
+def _iterate(team: Team, model: MaterialModel | None, frames: Sequence[FrameEvidence],
              hessians: Sequence[sparse.csr_matrix | None], sigma: float,
              before: Identified) -> tuple[Identified, bool]:
     """One iteration, and whether it was the last one."""
@@ -186,7 +186,7 @@ def _iterate(team: Team, model: Model | None, frames: Sequence[Evidence],
     return replace(of_all, u=None if found is None else found[0].u), is_settled
 
 
-def _find_possible_share(model: Model, values: Array, dp: Array) -> float:
+def _find_possible_share(model: MaterialModel, values: Array, dp: Array) -> float:
     """Largest share of a correction, by halves, with which there may be such a material."""
     for halvings in range(MOST_HALVINGS):
         share = 0.5**halvings

@@ -106,7 +106,7 @@ class JointStep:
     information: Array
 
 
-class Model(Protocol):
+class MaterialModel(Protocol):
     """What displacements a specimen may have, by parameters: the seam that a law of one's own implements."""
 
     @property
@@ -139,7 +139,7 @@ class Model(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ElasticModel:
-    """An elastic body in equilibrium, whose loaded edges are displaced by whatever the images show; a ``Model``.
+    """An elastic body in equilibrium, whose loaded edges move by whatever the images show; a ``MaterialModel``.
 
     Attributes
     ----------
@@ -240,7 +240,7 @@ def _solve_for_parameters(information: Array, gradient: Array, names: Sequence[s
 
 @dataclass(frozen=True, eq=False)
 class FunctionModel:
-    """A function of one's own that gives the displacement of the nodes in every frame; a ``Model``.
+    """A function of one's own that gives the displacement of the nodes in every frame; a ``MaterialModel``.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@ from ddic.case.named_files import list_deformed, list_named_files, list_times
 from ddic.case.schema import Case, SimulationSection
 from ddic.check.case import check_case, load_checked_case
 from ddic.errors import DdicError, InputError, as_collective
-from ddic.identification.joint_step import Model
+from ddic.identification.joint_step import MaterialModel
 from ddic.inputs.inputs import FrameOpener, inputs_kept, open_inputs
 from ddic.io.input_file import FileStamps
 from ddic.mesh.mesh import Mesh
@@ -41,7 +41,7 @@ def compare_case(team: Team, path: Path, simulation: Mapping[str, Any], listener
 
 
 def identify_case(team: Team, path: Path, listener: Listener,
-                  build: Callable[[Case, Mesh], Model] | None = None) -> Summary:
+                  build: Callable[[Case, Mesh], MaterialModel] | None = None) -> Summary:
     """Measure the frames of a case and identify the material; collective, returns the summary, also written.
 
     The result is that of the last frame; ``build`` makes a model of one's own on a mesh. Raises DdicError on all ranks.

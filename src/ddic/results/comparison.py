@@ -94,14 +94,14 @@ def compare_with_simulation(problem: WeightedProblem, measurement: Measurement) 
 
     placed, step_name = team.on_root(place)
     origin = {"file": str(section.file), "step": step_name, "placement": placed.describe()}
-    return compare(problem, measurement, placed.at, origin)
+    return compare_with_known(problem, measurement, placed.at, origin)
 
 
 FITS = {"nothing": None, "motion": fit_rigid_motion_to, "placement": fit_placement}
 """What is fitted to the measured field, by the case's word."""
 
 
-def compare(problem: WeightedProblem, measurement: Measurement, known: KnownDisplacement,
+def compare_with_known(problem: WeightedProblem, measurement: Measurement, known: KnownDisplacement,
             origin: Mapping[str, str]) -> Measurement:
     """Compare a measured field with a known displacement of the image's points; collective.
 

@@ -17,7 +17,7 @@ from ddic.case.schema import Case, ForceSection, IdentificationSection, Material
 from ddic.comparison.placement import PlacedField
 from ddic.identification.identify import FieldEvidence, correct_once, identify
 from ddic.identification.image_evidence import ImageEvidence
-from ddic.identification.joint_step import ElasticModel, MeasuredForce, Model
+from ddic.identification.joint_step import ElasticModel, MaterialModel, MeasuredForce
 from ddic.identification.laws import ElasticBody, ElasticLaw, LawOnCells
 from ddic.inputs.mesh_source import share_cells
 from ddic.mesh.mesh import Mesh
@@ -25,7 +25,7 @@ from ddic.mesh.refinement import refine
 from ddic.mesh.topology import BOUNDARY, find_boundary_nodes, find_named_nodes
 from ddic.parallel.team import require_held
 from ddic.problem.weighted_problem import WeightedProblem
-from ddic.results.comparison import compare
+from ddic.results.comparison import compare_with_known
 from ddic.results.measurement import Measurement
 from ddic.solvers.probing import estimate_response
 from ddic.visibility.noise_forces import OF_RESIDUAL, find_image_noise, measure_force_noise
@@ -91,7 +91,7 @@ class Identification:
 
 
 def identify_material(problem: WeightedProblem, measurements: Sequence[Measurement],
-                      build: Callable[[Case, Mesh], Model] | None = None) -> Measurement:
+                      build: Callable[[Case, Mesh], MaterialModel] | None = None) -> Measurement:
     """Identify the parameters that a case asks for, from one frame or several; collective.
 
     ``problem`` has measured the frames, with the operators that found the last one; ``build`` makes the model on a
@@ -127,7 +127,8 @@ def identify_material(problem: WeightedProblem, measurements: Sequence[Measureme
     displacement = None if found.u is None else frames[-1].apply_rotation(found.u[-1])
     law = team.on_root(lambda: PlacedField.as_given(
         require_held(mesh), require_held(displacement).reshape(require_held(mesh).nodes.shape)))
-    compared = compare(problem, last, law.at, {"file": "identified law", "step": "1", "placement": "in its place"})
+    origin = {"file": "identified law", "step": "1", "placement": "in its place"}
+    compared = compare_with_known(problem, last, law.at, origin)
     return replace(compared.with_notes(identification.describe()), identification=identification)
 
 
