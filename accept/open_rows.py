@@ -33,9 +33,9 @@ OPEN: dict[tuple[str, str], str] = {
         "torn cells and bands take 12 more; on 2.4 Mpx 1.01 to 1.69 times the rate; on another processor 33,000 px had "
         "1.16 and 1.21 times the rate",
     ("house", "source"):
-        "six of sixteen; volumes took 3,000 lines and 20 files, simulations, identification, laws and modes 2,111 of the "
-        "2,500 given and 21 files, two modules of them read by one other; before both there were 32,280 lines and 13,030 of "
-        "docstrings, where 31,600 and 12,500 were given: pages, regions by polygons and gmsh, masks, "
+        "six of sixteen; volumes took 3,000 lines and 20 files, simulations, identification, laws and modes 2,111 of "
+        "the 2,500 given and 21 files, two modules of them read by one other; before both there were 32,280 lines and "
+        "13,030 of docstrings, where 31,600 and 12,500 were given: pages, regions by polygons and gmsh, masks, "
         "verdicts and starter cases took 3,388 in place of 2,500, the papers' figures 450 of the 600 given; three "
         "looks through it found hardly anything unused or written twice; formulas of numpy on lines of 120 characters "
         "are dense, where models break theirs at 80 to 100; nearly a tenth are imports",
