@@ -27,7 +27,7 @@ from ddic.parallel.team import Team
 from ddic.problem.weighted_problem import WeightedProblem
 from ddic.results.measurement import Measurement
 from ddic.solvers.local_system import LocalSystem
-from ddic.solvers.probing import estimate_response
+from ddic.solvers.probing import estimate_response, multiply_by_hessians
 from ddic.solvers.whole_system import EquilibriumRows
 from ddic.visibility.noise_forces import measure_force_noise
 
@@ -82,7 +82,7 @@ class TimeModes:
 
 
 def find_modes(problem: WeightedProblem, measurements: Sequence[Measurement], times: Sequence[float],
-                     n_modes: int | None = None) -> Measurement:
+               n_modes: int | None = None) -> Measurement:
     """Separate the frames of a series that were measured one by one, and measure them together; collective.
 
     Returns the measurement of the last frame with the modes. ``n_modes`` is found from the noise by default. Raises
@@ -90,8 +90,9 @@ def find_modes(problem: WeightedProblem, measurements: Sequence[Measurement], ti
     """
     team, systems, n_frames = problem.team, problem.solver.assembly.systems, len(measurements)
     fields = [measured.q for measured in measurements]
-    values, vectors = np.linalg.eigh(_weigh_frames(n_frames, 0.5) @ Energy(team, systems).multiply(fields, fields)
-                                     @ _weigh_frames(n_frames, 0.5))
+    root = _weigh_frames(n_frames, 0.5)
+    products = _multiply(fields, [multiply_by_hessians(systems, q) for q in fields])
+    values, vectors = np.linalg.eigh(root @ (products + _multiply_gaps(team, systems, fields)) @ root)
     strengths = np.sqrt(np.maximum(values[::-1], 0.0)) / _expect_noise(problem, measurements)
     rank = int((strengths > MARGIN).sum()) if n_modes is None else n_modes
     if rank == 0:
@@ -99,7 +100,7 @@ def find_modes(problem: WeightedProblem, measurements: Sequence[Measurement], ti
             f"modes: no mode stands out from noise (the strongest is {strengths[0]:.2g} times as strong, at least "
             f"{MARGIN:g} times are needed); nothing moves, or say how many modes there are"))
     chosen = vectors[:, ::-1][:, :rank]
-    begin = _combine(fields, _weigh_frames(n_frames, 0.5) @ chosen)
+    begin = _combine(fields, root @ chosen)
     modes = TimeModes(begin, _weigh_frames(n_frames, -0.5) @ chosen, np.array(times), strengths, 0)
     last = measurements[-1]
     modes = _scale(_measure_together(problem, measurements, modes), last.unmeasured)
@@ -108,8 +109,7 @@ def find_modes(problem: WeightedProblem, measurements: Sequence[Measurement], ti
 
 def _measure_together(problem: WeightedProblem, measurements: Sequence[Measurement], modes: TimeModes) -> TimeModes:
     """Iterate on the images of all frames until the fields settle; collective."""
-    weights = _weigh_frames(len(measurements), 1.0)
-    energy = Energy(problem.team, problem.solver.assembly.systems)
+    weights, systems = _weigh_frames(len(measurements), 1.0), problem.solver.assembly.systems
     fields, amplitudes = modes.fields, modes.amplitudes
     for sweep in range(1, MOST_SWEEPS + 1):
         frames = _combine(fields, amplitudes.T)
@@ -118,10 +118,11 @@ def _measure_together(problem: WeightedProblem, measurements: Sequence[Measureme
         fields = [u + problem.solver.step.solve(u, b).dq
                   for u, b in zip(fields, _combine(forces, of_frames), strict=True)]
         # Of the new fields: b is that of the old ones less what M says of the change.
-        changed = _combine(fields, amplitudes.T)
-        of_change = energy.multiply_by_hessians(fields, [new - old for new, old in zip(changed, frames, strict=True)])
-        right = (_multiply(fields, forces) - of_change - energy.multiply_gaps(fields, fields) @ amplitudes.T)
-        correction = np.linalg.solve(energy.multiply(fields, fields), right).T
+        forces = [b - multiply_by_hessians(systems, new - old)
+                  for b, new, old in zip(forces, _combine(fields, amplitudes.T), frames, strict=True)]
+        of_gaps = _multiply_gaps(problem.team, systems, fields)
+        products = _multiply(fields, [multiply_by_hessians(systems, u) for u in fields]) + of_gaps
+        correction = np.linalg.solve(products, _multiply(fields, forces) - of_gaps @ amplitudes.T).T
         amplitudes = amplitudes + correction
         moved = [new - old for new, old in zip(_combine(fields, amplitudes.T), frames, strict=True)]
         if np.sqrt(np.mean([change.measure_rms()**2 for change in moved])) < SETTLED:
@@ -160,45 +161,17 @@ def _multiply(fields: Sequence[Field], forces: Sequence[Field]) -> Array:
     return fields[0].team.ordered_sum(works)
 
 
-@dataclass(frozen=True, eq=False)
-class Energy:
-    """Inner products of fields with A = M + eta Kbar^T Kbar; all calls are collective.
-
-    Attributes
-    ----------
-    team, systems : Team, sequence of LocalSystem
-        All ranks; owned systems, whose unknowns are displacements of nodes.
-    """
-
-    team: Team
-    systems: Sequence[LocalSystem]
-
-    def multiply(self, fields: Sequence[Field], others: Sequence[Field]) -> Array:
-        """All products with A, (n_fields, n_others)."""
-        return self.multiply_by_hessians(fields, others) + self.multiply_gaps(fields, others)
-
-    def multiply_by_hessians(self, fields: Sequence[Field], others: Sequence[Field]) -> Array:
-        """All products with M."""
-        pairs = zip(self.systems, zip(*fields, strict=True), zip(*others, strict=True), strict=True)
-        return self.team.ordered_sum([np.stack(u) @ (system.hessian @ np.stack(v).T) for system, u, v in pairs])
-
-    def multiply_gaps(self, fields: Sequence[Field], others: Sequence[Field]) -> Array:
-        """All products with eta Kbar^T Kbar."""
-        gaps, of_others = self._find_gaps(fields), self._find_gaps(others)
-        shares = [1.0 / system.subdomain.all_multiplicity for system in self.systems]
-        return self.team.ordered_sum([self.systems[0].eta * (u * share) @ v.T
-                                      for u, v, share in zip(gaps, of_others, shares, strict=True)])
-
-    def _find_gaps(self, fields: Sequence[Field]) -> list[Array]:
-        """Kbar u of all fields, complete at interfaces, (n_fields, n_unknowns) of each subdomain."""
-        subdomains = [system.subdomain for system in self.systems]
-        at_nodes = []
-        for system, of_subdomain in zip(self.systems, zip(*fields, strict=True), strict=True):
-            rows = EquilibriumRows(system)
-            parts = np.stack([rows.multiply(u) for u in of_subdomain])
-            at_nodes.append(parts.T.reshape(system.subdomain.mesh.n_nodes, -1))
-        complete = sum_shared_nodes(self.team, subdomains, at_nodes)
-        return [values.reshape(-1, len(fields)).T for values in complete]
+def _multiply_gaps(team: Team, systems: Sequence[LocalSystem], fields: Sequence[Field]) -> Array:
+    """Multiply displacements of nodes by eta Kbar^T Kbar with each other, (n_fields, n_fields); collective."""
+    subdomains, at_nodes = [system.subdomain for system in systems], []
+    for system, of_subdomain in zip(systems, zip(*fields, strict=True), strict=True):
+        rows = EquilibriumRows(system)
+        parts = np.stack([rows.multiply(u) for u in of_subdomain])
+        at_nodes.append(parts.T.reshape(system.subdomain.mesh.n_nodes, -1))
+    # Rows of interfaces complete.
+    gaps = [values.reshape(-1, len(fields)) for values in sum_shared_nodes(team, subdomains, at_nodes)]
+    return team.ordered_sum([system.eta * gap.T @ (gap / system.subdomain.all_multiplicity[:, None])
+                             for system, gap in zip(systems, gaps, strict=True)])
 
 
 def _expect_noise(problem: WeightedProblem, measurements: Sequence[Measurement]) -> float:

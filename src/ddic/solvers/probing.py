@@ -43,7 +43,7 @@ def estimate_degrees_of_freedom(team: Team, systems: Sequence[LocalSystem], step
         z = at_rest.with_parts(signs[subdomain.numbers] for subdomain in at_rest.subdomains)
         b = z.map(lambda subdomain, z_s: scale * z_s / subdomain.all_multiplicity)
         y = step.solve(at_rest, b, _ENOUGH_FOR_TRACE).dq / scale
-        traces.append(z.multiply(_multiply_by_hessians(systems, y)))
+        traces.append(z.multiply(multiply_by_hessians(systems, y)))
     return float(np.mean(traces))
 
 
@@ -53,8 +53,8 @@ def _find_scale(team: Team, systems: Sequence[LocalSystem]) -> float:
     return float(scale)
 
 
-def _multiply_by_hessians(systems: Sequence[LocalSystem], y: Field) -> Field:
-    """M_s y_s."""
+def multiply_by_hessians(systems: Sequence[LocalSystem], y: Field) -> Field:
+    """Multiply each subdomain's part of a field by its own M: M_s y_s."""
     return y.with_parts(system.hessian @ y_s for system, y_s in zip(systems, y, strict=True))
 
 
@@ -139,7 +139,7 @@ def estimate_response(team: Team, systems: Sequence[LocalSystem], step: LinearSt
         b = at_rest.with_parts(scale * _project_signs(s, share, probe)
                                for s, share in zip(subdomains, shares, strict=True))
         y = step.solve(at_rest, b, _ENOUGH).dq / scale
-        forces = _multiply_by_hessians(systems, y)
+        forces = multiply_by_hessians(systems, y)
         z = [_project_signs(s, of_nodes, probe) for s, of_nodes in zip(subdomains, chosen, strict=True)]
         products = [np.array([y_s @ of_y, z_s @ of_y]) for y_s, z_s, of_y in zip(y, z, forces, strict=True)]
         traces.append(team.ordered_sum(products))
@@ -159,7 +159,7 @@ def estimate_deviation(team: Team, systems: Sequence[LocalSystem], step: LinearS
     b = at_rest.with_parts(scale * _take_to_unknowns(system.subdomain, of_nodes.ravel())
                            for system, of_nodes in zip(systems, loads, strict=True))
     y = step.solve(at_rest, b, _ENOUGH).dq / scale
-    return float(np.sqrt(2.0 * y.multiply(_multiply_by_hessians(systems, y))))
+    return float(np.sqrt(2.0 * y.multiply(multiply_by_hessians(systems, y))))
 
 
 def _project_signs(subdomain: Subdomain, shares: Array, probe: int) -> Array:
