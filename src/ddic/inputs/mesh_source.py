@@ -12,6 +12,7 @@ from ddic.case.schema import (
     MeshSection,
     RegionSection,
     ShapeSection,
+    StiffnessSection,
     StructuredSection,
     UnstructuredSection,
 )
@@ -171,19 +172,25 @@ def share_cells(case: Case, mesh: Mesh) -> list[BoolArray]:
 
 def check_stiffness(case: Case, mesh: Mesh) -> None:
     """Refuse, with an InputError, parts of other stiffness that hold no cell."""
-    regions = {region.name: region for region in case.region}
-    for section in () if case.regularization is None else case.regularization.stiffness:
-        if not find_cells_in(regions[section.region], mesh).any():
+    for section, cells in _list_stiffness(case, mesh):
+        if not cells.any():
             raise InputError(f'regularization.stiffness.region = "{section.region}": holds no cell; move the region '
                              "(px), or leave it out")
 
 
 def weigh_stiffness(case: Case, mesh: Mesh) -> Array:
     """Weigh the stiffness of cells, (n_cells,), by the regions of the regularization; 1 in no region."""
-    relative, regions = np.ones(mesh.n_cells), {region.name: region for region in case.region}
-    for section in require_held(case.regularization).stiffness:
-        relative[find_cells_in(regions[section.region], mesh)] = section.ratio
+    relative = np.ones(mesh.n_cells)
+    for section, cells in _list_stiffness(case, mesh):
+        relative[cells] = section.ratio
     return relative
+
+
+def _list_stiffness(case: Case, mesh: Mesh) -> list[tuple[StiffnessSection, BoolArray]]:
+    """Parts of other stiffness with their cells, (n_cells,), none without regularization."""
+    regions = {region.name: region for region in case.region}
+    parts = () if case.regularization is None else case.regularization.stiffness
+    return [(section, find_cells_in(regions[section.region], mesh)) for section in parts]
 
 
 def _check_pixels(section: MeshedSection, name: str) -> int:

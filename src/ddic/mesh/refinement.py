@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,9 @@ from scipy import sparse
 from ddic.arrays import Array, IntArray
 from ddic.mesh.mesh import Mesh, build_mesh
 
-PARTS = {5: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
-         9: ((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3))}
+HALVED: Mapping[int, tuple[tuple[int, ...], ...]] = {
+    5: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+    9: ((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3))}
 """Cells that a cell is split into, by VTK's numbers: its corners, the middles of its sides, its own middle."""
 
 
@@ -55,7 +57,7 @@ def refine(mesh: Mesh) -> RefinedMesh:
             middles_of.append(block.nodes)
             numbers.append(n_nodes + np.arange(len(block.cells))[:, None])
             n_nodes += len(block.cells)
-        parts = np.concatenate(numbers, axis=1)[:, PARTS[block.type.vtk]]
+        parts = np.concatenate(numbers, axis=1)[:, HALVED[block.type.vtk]]
         blocks.append((block.type, parts.reshape(-1, block.type.n_nodes)))
         parents.append(np.repeat(block.cells, parts.shape[1]))
     weights = sparse.vstack([_average(nodes, mesh.n_nodes) for nodes in middles_of]).tocsr()

@@ -16,6 +16,7 @@ from ddic.io.input_file import require_file
 from ddic.io.mesh_file import convert_mesh
 from ddic.io.simulations.formats import Step, open_steps
 from ddic.mesh.mesh import Mesh, Similarity
+from ddic.mesh.refinement import HALVED
 from ddic.mesh.repair import repair
 
 FIELDS = ("displacement", "displacements", "disp", "u", "depl", "displ", "uu")
@@ -200,8 +201,8 @@ FACES_OF_HEXAHEDRON = ((0, 1, 2, 3, 8, 9, 10, 11), (4, 5, 6, 7, 12, 13, 14, 15),
 """Corners and sides of each face of a hexahedron of twenty nodes."""
 
 PARTS: dict[str, tuple[str, tuple[tuple[int, ...], ...]]] = {
-    "triangle6": ("triangle", ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))),
-    "quad9": ("quad", ((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3))),
+    "triangle6": ("triangle", HALVED[5]),
+    "quad9": ("quad", HALVED[9]),
     "tetra10": ("tetra", ((0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3),
                           (4, 5, 6, 8), (6, 5, 9, 8), (6, 9, 7, 8), (6, 7, 4, 8))),
     # Nodes 20 to 25 are in the middle of the faces, in their order above, 26 in that of the cell.
