@@ -121,9 +121,9 @@ def assemble_known_forces(correlation: Correlation, u: Array, otherwise: Array, 
     """Assemble sum N^T grad f (grad f . (u_known - u)), (n_dofs,), grey levels squared per pixel.
 
     ``u`` is the displacement of the nodes, (n_dofs,), pixels, ``otherwise`` the one that counts where none is known;
-    ``corrects_light`` takes from each cell's grey levels
-    what a gain and an offset of its own would. Beside it comes the share of each cell's pixels, (n_cells,), at which
-    the displacement is known. The gradient is moved where the correlation asks for it.
+    ``corrects_light`` takes from each cell's grey levels what a gain and an offset of its own would. Beside it comes
+    the share of each cell's pixels, (n_cells,), at which the displacement is known. The gradient is moved where the
+    correlation asks for it.
     """
     mesh = correlation.mesh
     moments = np.zeros((mesh.n_cells, 1, mesh.dim, mesh.n_monomials))

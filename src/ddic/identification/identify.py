@@ -47,7 +47,7 @@ class FrameEvidence(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FieldEvidence:
-    """A measured field in the place of images; an ``FrameEvidence`` for rank 0 alone.
+    """A measured field in the place of images; a ``FrameEvidence`` for rank 0 alone.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ from ddic.problem.residual_model import ResidualModel
 
 @dataclass(frozen=True, eq=False)
 class ImageEvidence:
-    """What the images of a frame say of a displacement of the whole mesh; an ``FrameEvidence``.
+    """What the images of a frame say of a displacement of the whole mesh; a ``FrameEvidence``.
 
     Attributes
     ----------

@@ -102,7 +102,7 @@ FITS = {"nothing": None, "motion": fit_rigid_motion_to, "placement": fit_placeme
 
 
 def compare_with_known(problem: WeightedProblem, measurement: Measurement, known: KnownDisplacement,
-            origin: Mapping[str, str]) -> Measurement:
+                       origin: Mapping[str, str]) -> Measurement:
     """Compare a measured field with a known displacement of the image's points; collective.
 
     As ``compare_with_simulation``, which reads and places it; ``origin`` says where it comes from.

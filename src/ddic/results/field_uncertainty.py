@@ -263,7 +263,7 @@ def _measure_rms(team: Team, subdomains: Sequence[Subdomain], deviations: Sequen
 
 
 def find_node_displacements(team: Team, subdomains: Sequence[Subdomain], q: Sequence[Array],
-                   unmeasured: Sequence[BoolArray]) -> list[Array]:
+                            unmeasured: Sequence[BoolArray]) -> list[Array]:
     """Displace each subdomain's nodes by the mean of copies, nan where unmeasured, (n_nodes, dim); collective."""
     shares = [(s.kinematics.tangent @ q_s[:s.n_field]).reshape(-1, s.mesh.dim) / s.node_multiplicity[:, None]
               for s, q_s in zip(subdomains, q, strict=True)]
